@@ -218,6 +218,6 @@ def packet(what, peer):
     made = wire.make_packet(wire.Kind(what[0]), peer.n, peer.session, SCENARIO)
     made["sequence"] = peer.k
     for name, value in what[1].items():
-        with contextlib.suppress(ValueError, OverflowError, TypeError):  # the field cannot hold it
+        with contextlib.suppress(ValueError, OverflowError, TypeError):  # the field cannot hold the value
             made[name] = value
     return wire.seal(made, KEY)

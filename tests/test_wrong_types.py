@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """Return {title: function}. Each function passes its argument to `call` under one name."""
+    """Return {title: function}. Each function passes its argument to `call` under one of ``names``."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

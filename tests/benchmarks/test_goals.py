@@ -25,7 +25,7 @@ def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) 
     (change((3, 4), (6, 7)), "open", "open"), (change((3, 4), (2, 4), 7), "open", "open"),
     (None, "not measured", "not measured"),
 ])  # fmt: skip
-def test_goal_is_judged_by_the_worse_interval_end(measured: Any, most: str, least: str) -> None:
+def test_goal_is_judged_by_the_ends_of_an_interval_not_by_its_middle(measured: Any, most: str, least: str) -> None:
     summary = {} if measured is None else {"x": measured}
     asked = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}
     found = goals.judge(summary, asked)
@@ -43,7 +43,7 @@ def test_missed_goals_are_shown_first() -> None:
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
-    """Return four ticks. At tick k every column is 2^k * 1e-6, doubled for BASELINE."""
+    """Return a run of four ticks. At tick k the norm of each metric's column is 2^k * 1e-6, doubled for BASELINE."""
     error = 1e-6 * 2.0 ** np.arange(4) * (2.0 if controller == BASELINE else 1.0)
     columns = dict.fromkeys(("t_s", "mu", "tip_error_m", "rcm_error_model_m"), error)
     columns["trocar_force_N"] = np.outer(error, (0.0, 0.6, -0.8))

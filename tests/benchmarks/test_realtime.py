@@ -41,7 +41,7 @@ def test_goal_of_the_c_controller_is_judged_by_its_missed_cycles(missed, cycles,
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
-def test_load_runs_only_during_a_loaded_case(monkeypatch):
+def test_load_processes_run_only_during_a_loaded_case(monkeypatch):
     started, real = [], realtime.subprocess.Popen
     monkeypatch.setattr(realtime.subprocess, "Popen", lambda command: started.append(real(command)) or started[-1])
     with realtime.loaded("quiet"):

@@ -24,7 +24,7 @@ def helix(radius, pitch=0.01):
 @metric("rad")
 def own_travel_rad(trace):
     """Sum of all joint motion."""
-    print(os.system("echo --json prints this to stderr, also from another process"))
+    print(os.system("echo with --json, this text goes to stderr, although another process prints it"))
     return float(abs(trace.q_rad[1:] - trace.q_rad[:-1]).sum())
 '''
 POINTS = [[0.01, 0.0, 0.0], [0.02, 0.01, -0.005], [0.03, 0.0, 0.0]]

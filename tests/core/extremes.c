@@ -1,7 +1,7 @@
 /* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`), and prints a digest of all
  * results. Unused array entries (beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
  *
- * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. */
+ * Usage: extremes [courses] [seed]. One course of the test draws random settings and runs all checks. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -120,7 +120,7 @@ static void spoil(double *x, int count, unsigned one_in)
 
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* a joint moves neither tip nor wrist with probability 1 / idle */
+    unsigned idle = chance(3) ? 2 : 10; /* with probability 1 / idle, a joint moves neither tip nor wrist */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -349,7 +349,7 @@ static double tiny(void) /* 1 or, in half of the calls, a power of two from 2^-5
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Make row i of A a combination of rows 0 and 1, exactly or nearly. b_i fits x, exactly or nearly. */
+/* Row i of A becomes A_0 - A_1/2 + own A_i. b_i becomes the new A_i x + r with |r| <= beside. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -531,7 +531,7 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run a random controller. Returns 0 if a torque is beyond its limits, a friction is negative, or one is NaN. */
+/* Run a random controller. Returns 0 if moc_start fails, a torque exceeds its limits, or a friction is not >= 0. */
 static int run_controller(void)
 {
     static moc_state states[2];
@@ -662,7 +662,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check moc_start and moc_begin with torques above limits, damaged states and NaN. Returns 0 if one fails. */
+/* Check moc_start and moc_begin with torques above limits, damaged states and NaN. Returns 0 if a check fails. */
 static int contract(void)
 {
     static moc_state state;
@@ -698,7 +698,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* another torque acted than was sent */
+        most[j] *= uniform(-1.0, 1.0); /* the torque that acted differs from the torque that was sent */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;

@@ -56,7 +56,7 @@ def turned(folder: Path) -> RobotModel:
 
 
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:
-    """An arm with ten freedoms of self-motion besides joint 16, which turns only the tool."""
+    """An arm with ten freedoms of self-motion, not counting joint 16, which only turns the tool about its own axis."""
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * H, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
     frames = {"wrist": (0, 0, 0), "mount": (0, 0, 0.05), "home": home}
     return build(folder, {"joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), **frames})

@@ -169,7 +169,7 @@ def test_a_traced_map_has_several_distinct_curves_for_each_target(panda):
                 assert np.linalg.norm(wrapped(one - two[0]), axis=1).min() > 0.021, "the map has a curve twice"
 
 
-def test_nearest_turns_brings_joints_near_the_middle_of_their_range():
+def test_whole_turns_bring_joints_near_the_middle_of_their_range():
     for robot in (load_robot("panda"), load_robot("lwr4_rail")):
         q, slides = np.random.default_rng(0).uniform(-9.0, 9.0, (50, robot.n)), robot.chain.prismatic
         turns = (pose_map.nearest_turns(robot, q) - q) / (2.0 * np.pi)

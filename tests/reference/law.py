@@ -59,7 +59,7 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
     P, dP = trocar
     N_d, dN_d = desired_wrist(s.tip, s.J_tip @ s.v, P, dP, s.tool_span)
     error = N_d - s.wrist
-    if rcm_lambda:  # scale the error to the length d / lambda, with the RCM error d = |(P - X) x u|
+    if rcm_lambda:  # scale the wrist error to the length d / lambda, where d = |(P - X) x u| is the RCM error
         error *= np.linalg.norm(np.cross(P - s.tip, s.tool_direction)) / rcm_lambda / np.linalg.norm(error)
     F = K_N * error + D_N * (dN_d - s.J_wrist @ s.v)
     return projector(projector_name, s) @ s.J_wrist.T @ F
@@ -85,7 +85,7 @@ def feedforward(s, tip_ref, trocar):
 
 
 def velocity_damper(q, q_min, q_max, v_max, k0):
-    """lower = max(-v_max, -k0 (q - q_min)), upper = min(v_max, -k0 (q - q_max))."""
+    """Return -k0 (q - q_min) and -k0 (q - q_max), both clipped to [-v_max, v_max]."""
     lower = np.clip(-k0 * (q - q_min), -v_max, v_max)
     return lower, np.clip(-k0 * (q - q_max), -v_max, v_max)
 
@@ -105,23 +105,23 @@ def shaft_push(mu_shaft, margin):
 
 
 def slope(s, margin=0.0):
-    """Return the gradient of mu, plus the weighted gradient of mu_shaft, projected onto ker A."""
+    """Return Z^T Z (grad mu + w grad mu_shaft), a vector in ker A. The weight w is `shaft_push`."""
     Z = null_space(s.A)
     return Z.T @ Z @ (s.grad_mu + shaft_push(s.mu_shaft, margin) * s.grad_mu_shaft)
 
 
 def scaled_climb(robot, s, margin=0.0):
-    """x_d = k t |d| / max(-b, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
+    """x_d = k z |g| / max(-b, |g| / r), a Newton step to the maximum of mu along z = g / |g|.
 
-    d is `slope`, b is the derivative of d^T t along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
+    g is `slope`, b is the derivative of g^T z along z, k is CLIMB_PER_S, and r is LONGEST_RAD.
     """
-    d = slope(s, margin)
-    steep = np.linalg.norm(d)
+    g = slope(s, margin)
+    steep = np.linalg.norm(g)
     if not steep > 1e-12:
         return np.zeros(s.n)
-    t = d / steep
-    bend = (slope(robot.state(s.q + PROBE_RAD * t), margin) @ t - steep) / PROBE_RAD
-    return CLIMB_PER_S * steep / max(-bend, steep / LONGEST_RAD) * t
+    z = g / steep
+    bend = (slope(robot.state(s.q + PROBE_RAD * z), margin) @ z - steep) / PROBE_RAD
+    return CLIMB_PER_S * steep / max(-bend, steep / LONGEST_RAD) * z
 
 
 def third_level(s, x, K_N2, D_N2):

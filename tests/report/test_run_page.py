@@ -97,7 +97,7 @@ def test_exit_status_is_zero_only_after_completion(tmp_path, capsys, table, stat
     if ended.startswith("stopped"):
         assert found["share_of_run"] < 1.0
         assert [w["of"] for w in found["warnings"]] == ["the RCM error"]
-    # If DCAC's run is shorter, there is no comparison.
+    # A run that lasts longer than DCAC's run is not compared with it.
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
@@ -115,7 +115,7 @@ def test_incomplete_run_has_a_table_of_its_own():
     assert [table.title for table in apart] == ["a", "b (first 0.3 s of 0.4 s, braking included)"]
 
 
-def test_pages_name_arm_task_gains_and_solver(tmp_path, capsys, files):
+def test_page_title_states_arm_then_task_then_gains_then_solver(tmp_path, capsys, files):
     file, page = tmp_path / "line.toml", tmp_path / "pages" / "line.html"
     file.write_text('duration_s = 0.4\nbound_samples = 3\n[task]\npath = "line"\n', encoding="utf-8")
     assert main(["run", str(file), "--report", str(page), "--trace", str(tmp_path / "a.parquet")]) == 0
@@ -133,7 +133,7 @@ def test_pages_name_arm_task_gains_and_solver(tmp_path, capsys, files):
     assert "arm.urdf is a robot, not a scenario: `moc-opt robot new" in capsys.readouterr().err
 
 
-def test_page_of_a_run_without_map_has_curves(robot):
+def test_page_without_a_map_has_curves(robot):
     t = np.linspace(0.0, 1.0, 20)
     own = Trace({"t_s": t, "mu": 0.1 + t}, {"ended": "stopped: too far off"})
     found = run_page({"own": own}, {"own": {"mu_mean": 0.6}}, robot)

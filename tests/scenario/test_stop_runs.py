@@ -75,7 +75,7 @@ def test_arm_gives_way_to_a_pressing_trocar(seed, slip_m):
     assert after(held)[2] > 1.5 * last  # with closed brakes, the force remains
 
 
-def test_brakes_open_again_only_for_a_larger_force(robot):
+def test_brakes_open_again_only_if_the_force_rises_further(robot):
     guard, q = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False), np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose, length = robot.tool_pose(q), robot.data.tool_length

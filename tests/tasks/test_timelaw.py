@@ -90,7 +90,7 @@ BRAKE_S = 0.05 / 0.2  # shortest braking time
 
 
 def flags(seconds, losses):
-    """Return whether the board is seen at each tick. Each of `losses` has a start and a length [s]."""
+    """Return for each tick whether the camera sees the marker board. `losses`: (start, duration) of the gaps [s]."""
     t = PERIOD * np.arange(round(seconds / PERIOD))
     seen = np.ones(len(t), dtype=bool)
     for start, length in losses:

@@ -192,7 +192,7 @@ def test_file_that_is_no_trace_is_refused(tmp_path):
             Trace.load(tmp_path / name)
 
 
-def test_only_a_trace_of_same_kind_is_replaced(tmp_path):
+def test_no_file_is_replaced_except_an_empty_one_or_a_trace_of_the_same_kind(tmp_path):
     files = gone, empty, run, plan, foreign, text = [tmp_path / f"{k}.parquet" for k in range(6)]
     empty.touch()
     example(3).save(run)
@@ -243,7 +243,7 @@ def test_pandas_table_has_every_number(trace, monkeypatch):
         trace.to_pandas()
 
 
-def test_xarray_names_dimensions_and_units(trace):
+def test_xarray_dataset_has_named_dimensions_and_units(trace):
     pytest.importorskip("xarray", reason="xarray is not installed: pip install '.[dataframes]'")
     found = trace.to_xarray()
     assert (found.q_rad.dims, found.tip_m.dims) == (("t_s", "joint"), ("t_s", "axis"))
