@@ -115,7 +115,7 @@ def random_problem(
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
-    """Make `qp` infeasible (Farkas' lemma)."""
+    """Return `qp` with references that no x within the bounds meets (Farkas' lemma)."""
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
     b = qp.A @ w * (rng.uniform(1.1, 2.0) * reach / (w @ w))

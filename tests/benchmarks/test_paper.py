@@ -43,7 +43,7 @@ ODD, FEW = change((-9, -3), (-2, 5)), change((-9, -3), (-9, -3), 7)
     (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
     (BETTER, FEW, too_few(7)), (BETTER, None, too_few(0)),
 ])  # fmt: skip
-def test_claim_is_judged_against_dcac_with_own_and_with_equal_gains(own, matched, wanted):
+def test_verdict_depends_on_dcac_with_dcacs_gains_and_on_dcac_with_mocs_gains(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
     found = [CLAIMS[0].verdict(None, change(ends, ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
     assert found == [HOLDS, FAILS, FAILS], "the whole interval of mu must lie above 7 %"

@@ -163,7 +163,7 @@ def test_only_a_value_above_its_threshold_is_noticed(noticed, level, more):
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
-    """In the third case, joint 1's last torque is zero: no residual opposes it. The drives carry the weight, 0.5 Nm."""
+    """In case 3, joint 1's last torque is zero, so no residual can oppose it. The drives carry the weight, 0.5 Nm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)

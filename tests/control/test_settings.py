@@ -151,7 +151,7 @@ def test_wrong_value_names_its_field(table, field, value):
         Scenario(**{table: {field: value}})
 
 
-def test_preset_is_found_by_its_name():
+def test_presets_robust_and_tuned_differ_only_in_gains_and_observer():
     softer = {"gains": "robust", "feedforward": True, "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0}
     assert ControlSettings.preset("robust") == ControlSettings.preset("tuned", **softer)
     with pytest.raises(UnknownNameError, match="did you mean 'tuned'"):
@@ -217,7 +217,7 @@ def test_shaft_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
 TABLE_I = {
     "dcac": {
         "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "damped": False,
-        "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # the torque is tau_T + tau_N1 only
+        "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # the torque is tau_tip + tau_rcm
     },
     "moc": {
         "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "k0": 0.1,

@@ -62,8 +62,8 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_error_does_not_quote_a_file_without_recorded_times(data, tmp_path):
-    """A scenario may name a secret file. The header of an array may claim terabytes."""
+def test_error_about_recorded_times_does_not_quote_their_file(data, tmp_path):
+    """`replay_us` may name a secret file, or an array whose header claims terabytes."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
         recorded_times(Scenario(solver={"replay_us": str(tmp_path / "a.npy")}))

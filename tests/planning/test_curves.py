@@ -1,4 +1,4 @@
-"""Curves of poses with the same tip and wrist. Those of a gantry are straight."""
+"""Curves of poses with the same tip and wrist. A gantry's curves are straight lines."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ TURN = np.eye(5)[4]
 
 
 def gantry(slides):
-    """The first four joints slide along x, x, y and z. The fifth slides along or turns about the tool axis z."""
+    """Four joints slide along x, x, y and z. The fifth slides along z if `slides`, and turns about z otherwise."""
     rows = np.zeros((5, 27))
     rows[:, :9], rows[:, 12:15], rows[:, 15] = np.eye(3).ravel(), AXES, [1, 1, 1, 1, slides]
     moves = np.ones((2, 5))

@@ -208,8 +208,8 @@ def test_if_the_cost_is_constant_every_feasible_answer_is_verified(n, unit):
         assert problem.residuals(best).verified()
 
 
-def test_relative_is_scaled_by_gradient_along_self_motion():
-    """Almost all of grad_mu is orthogonal to ker A. The small rest is the scale if the regularization is smaller."""
+def test_relative_residual_divides_the_cost_by_its_size_along_the_self_motion():
+    """The size is the larger of c2 |Z Z^T grad_mu|_inf and the regularization. Z Z^T grad_mu is small here."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
@@ -321,7 +321,7 @@ def test_set_of_idle_joints_does_not_depend_on_the_length_unit(scale):
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("n", [7, 8])
 def test_distance_is_measured_to_the_only_feasible_point(n, regularization):
-    """If no point is feasible, the loss is 1 and the distance is infinite."""
+    """The bounds allow one point only. If it violates A x = b, the loss is 1 and the distance is infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=False, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
     lower, upper = np.array(x), np.array(x)
@@ -354,7 +354,7 @@ def test_rest_is_not_optimal_if_bounds_exclude_it(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_nan_answer_has_the_worst_residuals_and_relative_does_not_depend_on_c2():
+def test_nan_answer_has_the_worst_residuals_and_c2_does_not_change_the_relative_residual():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)

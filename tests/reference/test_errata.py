@@ -84,7 +84,7 @@ def test_gradient_of_f_is_positive_semidefinite(robot, states):
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
-# Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with a time constant.
+# Printed: F(Y) = [-dL/dx, dL/dlambda], without a time constant. Right: [dL/dx, -dL/dlambda], with a time constant.
 def test_deviations_grow_with_the_printed_sign(robot, states):
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
@@ -115,16 +115,16 @@ def test_true_lambda_is_not_constant(states):
 # Printed: K_N2 = [80, ...], c2 = 0.001 and k = 0.1. With them, mu adds less than 2 mNm to each joint torque.
 def test_mu_hardly_changes_the_torques_of_the_printed_network(robot, states):
     rng, printed, added, expected = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
-    for rest in states:
+    for at_rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):
-            s, torques = robot.state(rest.q, v), []
+            s, torques = robot.state(at_rest.q, v), []
             for c2 in (PAPER.c2, 0.0):
                 qp = subproblem(robot, s, c2=c2)
                 session = printed.start(qp)
                 session.observe(v)
                 torques.append(third_level(s, session.solve(qp).x, K_N2, np.zeros(7)))
             added = max(added, np.abs(torques[0] - torques[1]).max())
-        wish = K_N2 * K * PAPER.c2 * rest.grad_mu
-        expected = max(expected, np.abs(third_level(rest, wish, np.ones(7), np.zeros(7))).max())
+        wish = K_N2 * K * PAPER.c2 * at_rest.grad_mu
+        expected = max(expected, np.abs(third_level(at_rest, wish, np.ones(7), np.zeros(7))).max())
     assert added == pytest.approx(expected, rel=1e-6)
     assert 0.0 < added < 2e-3

@@ -82,7 +82,7 @@ def test_a_narrow_terminal_shows_every_word_and_number_whole(width: int, count: 
 
 @pytest.mark.parametrize(("step_s", "written"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_is_written_in_lines(step_s: float, written: list[int]) -> None:
-    """The set-up does not change the predicted time left."""
+    """Times are counted from the call of `of`: the set-up before it does not count."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

@@ -98,7 +98,7 @@ def test_manipulability_gradients_agree_with_finite_differences(arm: RobotModel)
             np.testing.assert_allclose(getattr(s, f"grad_{name}"), slopes, atol=2e-8)
 
 
-def test_gradient_is_zero_if_the_shaft_cannot_turn() -> None:
+def test_gradient_of_mu_shaft_is_zero_if_the_shaft_can_turn_in_only_one_direction() -> None:
     """While the tip is held, the wrist can move in only one direction."""
     joints, n = np.tile(np.r_[np.eye(3).ravel(), np.zeros(3), 0.0, 0.0, 1.0, 0.0], (5, 1)), 5
     joints[:3, 12:15], joints[:3, 15], joints[3:, 12:15] = np.eye(3), 1.0, [0.0, 1.0, 0.0]

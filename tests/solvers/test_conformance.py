@@ -36,7 +36,7 @@ class Expect:
     gap: float = 1e-6  # with regularization = 0: (f(x) - f(exact)) / (c2 |grad_mu|_inf) [rad/s]
     solved: float = 1.0  # least share of feasible problems with the status SOLVED
     certified: float = 1.0  # least share of infeasible problems with the status INFEASIBLE
-    undamped: float | None = 1.0  # ``solved`` for problems with regularization = 0; None: it refuses these
+    undamped: float | None = 1.0  # ``solved`` for problems with regularization = 0; None: the solver refuses them
     recovers: bool = True  # False: after an infeasible problem, answers need not be SOLVED
     arm: bool = False  # the solver needs the arm's kinematics
 
@@ -60,7 +60,7 @@ EXPECT = {
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it does not report why it failed
     "nlp-ipopt": NLP,
     "qpsolvers:daqp": Expect(certified=0.0),  # qpsolvers does not pass on why daqp failed
-    # Nor does it for highs, whose usual time limit of 0.1 s is too short on a busy machine.
+    # qpsolvers does not pass on why highs failed. The usual limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
     "qpsolvers:piqp": Expect(certified=0.85),
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
@@ -233,7 +233,7 @@ def test_update_with_another_problem_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "piqp", "clarabel"} & {*NAMES}))
-def test_truncated_repeats_the_previous_solve_up_to_an_iteration_limit(name):
+def test_method_truncated_repeats_the_previous_solve_up_to_an_iteration_limit(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0

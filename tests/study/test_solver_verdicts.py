@@ -111,7 +111,7 @@ def test_one_solver_is_recommended():
 
 @pytest.mark.parametrize(("cost", "unlike", "trials", "verdict", "damage"), [
     (1.07, 0.0, 15, NEAR, "+7% tip"),
-    (1.07, 0.3, 15, SOUND, "undecided: "),  # the same mean loss, but a wider interval
+    (1.07, 0.3, 15, SOUND, "undecided: "),  # mean loss as in the first case, but a wider interval
     (1.01, 0.02, 15, SOUND, "none"), (2.5, 0.3, 15, AVOID, "% tip"),
     (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"), (1.6, 0.0, 8, AVOID, "+60% tip"),
 ])  # fmt: skip
