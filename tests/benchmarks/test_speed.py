@@ -99,13 +99,13 @@ scenario.duration_s = 0.2
 
 def test_command_measures_every_part(tiny, capsys, monkeypatch):
     monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
-    left = tiny(speed, SMALL)
-    summary, rows = left.summary, left.rows
+    made = tiny(speed, SMALL)
+    summary, rows = made.summary, made.rows
     assert summary["not_run"]["peer tsid"]["reason"] == "it is missing"
     assert min(summary["tick"][name]["tick_p50_us"] for name in ("exact", "proxqp")) > 0.0
     assert summary["goals"]["exact"]["value"] == summary["adapters"][timed.BY_HAND]["ratio_of_exact"] > 0.0
     assert summary["goals"]["tick"]["reached"] == summary["goals"]["batch"]["reached"] == "not measured"
-    assert json.loads((left.out / "environment.json").read_text())["load"]["times_calls"] > 0
+    assert json.loads((made.out / "environment.json").read_text())["load"]["times_calls"] > 0
     assert summary["batch"]["exact"]["batch_two_threads_per_s"] > 0.0
     assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup", None}
     assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]
