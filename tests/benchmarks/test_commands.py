@@ -60,7 +60,7 @@ def test_wrong_configuration_is_refused_before_any_run(study, text, said, tmp_pa
     assert not (tmp_path / "out").exists()
 
 
-def test_comment_blocks_in_pages_name_studies() -> None:
+def test_blocks_between_comments_in_pages_are_named_after_studies() -> None:
     studies, count = COMMANDS | {file.stem for file in CONFIGS.glob("*.toml")}, 0
     for page, text in PAGES.items():
         blocks = [(at["name"], at["title"]) for at in docs.BLOCK.finditer(text)]

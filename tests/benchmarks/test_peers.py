@@ -24,7 +24,7 @@ def test_listed_peer_does_the_task(name, robot, task):
 
 
 class Puppet:
-    """A velocity-level controller. Its gains of tip, shaft and mu's gradient (``climb``) can be wrong."""
+    """A velocity-level controller. The gains ``tip``, ``shaft`` and ``climb`` (of mu's gradient) can be wrong."""
 
     level = "velocity"
 

@@ -67,15 +67,15 @@ def test_recorded_problems_are_those_of_the_run():
     np.testing.assert_array_equal([given[2][0] for given in inputs], trace.tip_ref_m)
 
 
-def test_ratio_compares_times_of_one_round():
+def test_python_over_limit_compares_times_of_the_same_run():
     rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
     found = timed.limit(rows, 1.0)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
     assert set(timed.limit(rows, None)) == {"steps_us"}
 
 
-def test_mujoco_steps_from_the_recorded_states():
-    """The steps apply forces that are one step old, so the states agree only approximately."""
+def test_each_period_is_simulated_from_its_recorded_state():
+    """The simulation applies the forces of the previous tick, so its states only approximate the recorded ones."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200
@@ -99,13 +99,13 @@ scenario.duration_s = 0.2
 
 def test_command_measures_every_part(tiny, capsys, monkeypatch):
     monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
-    left = tiny(speed, SMALL)
-    summary, rows = left.summary, left.rows
+    made = tiny(speed, SMALL)
+    summary, rows = made.summary, made.rows
     assert summary["not_run"]["peer tsid"]["reason"] == "it is missing"
     assert min(summary["tick"][name]["tick_p50_us"] for name in ("exact", "proxqp")) > 0.0
     assert summary["goals"]["exact"]["value"] == summary["adapters"][timed.BY_HAND]["ratio_of_exact"] > 0.0
     assert summary["goals"]["tick"]["reached"] == summary["goals"]["batch"]["reached"] == "not measured"
-    assert json.loads((left.out / "environment.json").read_text())["load"]["times_calls"] > 0
+    assert json.loads((made.out / "environment.json").read_text())["load"]["times_calls"] > 0
     assert summary["batch"]["exact"]["batch_two_threads_per_s"] > 0.0
     assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup", None}
     assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]

@@ -71,7 +71,7 @@ def test_packet_after_a_gap_is_fresh_only_if_the_gap_is_within_the_patience(miss
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """Return why the filter stopped, and the index of the reading at which it stopped."""
+    """Return why the filter stopped the arm, and the index of that reading; without a stop, "" and len(q)."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
@@ -115,7 +115,7 @@ def test_frozen_position_with_nonzero_velocity_stops_the_arm(speed, joint):
     ("reference", False, 3e-3), ("reference", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
 def test_repeated_reading_stops_the_arm_if_reference_or_torque_changes(by, wrench_repeats, level):
-    """Below `level`, static friction may hold the arm, so no stop is expected."""
+    """Until reference [m] or torque [Nm] reaches `level`, static friction may hold the arm, so no stop is expected."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "reference" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "reference" else -0.02) * np.arange(600)

@@ -171,7 +171,7 @@ def test_solver_that_writes_into_its_arguments_changes_nothing(qp, Z):
 
 @pytest.mark.parametrize("error", [SystemExit("enough"), RuntimeError("no"), MemoryError(), KeyboardInterrupt()])
 @pytest.mark.parametrize("where", ["observe", "solve", "under another error"])
-def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
+def test_exceptions_of_a_session_except_keyboard_interrupt_are_counted(error, where, qp, Z):
     raised, session = error, Mock(spec=["solve", "observe"])
     if where == "under another error":  # as CasADi wraps exceptions
         raised = SystemError("returned a result with an exception set")
@@ -304,7 +304,7 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
         assert mine.fault is Fault.NONE
     assert off > 0.0 or found.verified()
     relative = judged(problem.row, Z, x)[2]
-    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # joints that hardly move are ignored
+    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # `judged` ignores joints that hardly move
 
 
 @pytest.mark.parametrize("seed", range(3))

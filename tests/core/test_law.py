@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """Yield ((state, tip_ref, trocar), rng) with references about 1 mm away."""
+    """Yield ((state, tip_ref, trocar), rng). The references are about 1 mm away from the arm's tip and shaft."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -123,7 +123,7 @@ def test_without_gradient_along_self_motion_the_pull_is_zero(bend):
     np.testing.assert_array_equal(found, np.zeros(7))
 
 
-def test_null_space_basis_changes_continuously_at_straight_elbow():
+def test_null_space_basis_changes_continuously_except_at_a_straight_elbow():
     q, sizes, before, made = np.array(LWR4.data.q_home), [], None, law(7, LWR4.arm)
     for angle in (0.1, 3e-12, *np.linspace(0.1, -0.1, 201)):  # at 3e-12 rad the rank is in doubt
         q[3] = angle
@@ -144,7 +144,7 @@ def test_null_space_basis_changes_continuously_at_straight_elbow():
 
 
 def problem(rng, robot, tight=None):
-    """Return flat array, parts and basis of ker A of a random subproblem, with bounds `tight` around a feasible x."""
+    """Return a random subproblem: flat array, its parts, basis of ker A. With `tight`, bounds are near a feasible x."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)

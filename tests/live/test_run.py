@@ -34,7 +34,7 @@ def test_live_run_equals_the_run_of_its_scenario() -> None:
     np.testing.assert_allclose(column(run, "force_N", len(trace)), force, atol=1e-6)
 
 
-def test_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
+def test_solver_is_exchanged_at_the_next_tick_but_not_soon_after_another_exchange(run: LiveRun) -> None:
     run.advance(5)
     assert solver_of(run.used) == "exact"
     run.choose("rnn")

@@ -237,11 +237,11 @@ def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near(monkeypatch)
     near, far = (planner.plan(on_course + angle * off, 0.1, last).q_rad[0] for angle in (0.01, 0.1))
     np.testing.assert_array_equal([near, far], [on_course, on_course + 0.1 * off])
     path, solves = planner._value.map.targets, planner.told["solves"]
-    for share, more in ((0.49, 0), (0.51, 1)):  # no program is solved in the last half of the time between targets
+    for share, more in ((0.49, 0), (0.51, 1)):  # nothing is solved less than half a target period before the path's end
         planner.plan(on_course, path.t_s[-1] - share * path.period_s, last)
         assert planner.told["solves"] == solves + more
     monkeypatch.setattr(Program, "solve", lambda self, guess, *_: guesses.append(guess) or (guess, True))
-    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):  # the third is far in one joint only
+    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):  # the third course is 3 rad off in joint 7
         planner.plan(on_course, 0.1, before)
     assert [np.array_equal(guesses[0], guess) for guess in guesses] == [True, False, True], "only a near course matters"
 

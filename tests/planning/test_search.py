@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A random map for one joint, with k times 0.5 s apart."""
+    """A random map of one joint, at k points in time that are 0.5 s apart."""
     arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -41,7 +41,7 @@ def every_course(found, step, start, cell=0.0):
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
 def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
-    """With a price on speed, each of the three steps dq [rad] of 0.5 s lowers the mean mu by price (dq / 0.5)^2 / 3."""
+    """With a price on speed, each of the three steps (dq [rad] in 0.5 s) lowers mean mu by price (dq / 0.5)^2 / 3."""
     rng, none = np.random.default_rng(0), 0
     for _ in range(40):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
@@ -99,7 +99,7 @@ def test_one_step_of_dynamic_programming_tries_every_pose_in_reach():
         np.testing.assert_allclose(value, best + gain, atol=1e-12)
 
 
-def test_upper_bound_uses_the_largest_mu_up_to_halfway_to_the_neighbouring_poses():
+def test_upper_bound_uses_the_largest_mu_within_half_the_distance_to_the_neighbouring_poses():
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
     angles[8] = np.nan  # a sample without a pose
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5

@@ -72,7 +72,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_with_many_corners_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """An underestimate is safe: it only raises the loss of an answer, (its cost - least) / (largest cost - least)."""
+    """An underestimate is safe: it only raises an answer's loss, (cost - smallest cost) / (largest - smallest cost)."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)

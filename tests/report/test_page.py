@@ -147,7 +147,7 @@ def column(page: Any, place: int) -> list[str]:
     return [text.strip() for text in page.locator(f"tbody tr > :nth-child({place})").all_inner_texts()]
 
 
-def test_heading_sorts_by_mouse_and_keyboard(page: Any) -> None:
+def test_column_heading_sorts_the_table_on_click_enter_and_space(page: Any) -> None:
     before = column(page, 1)
     heading = page.locator("th[scope=col]").nth(1)
     heading.locator("button").click()

@@ -66,8 +66,8 @@ def test_base_rpy_of_pi_turns_the_arm_upside_down(tmp_path: Path) -> None:
     hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot
     standing = load_robot("iiwa14")
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):
-        tip = standing.state(q).wrist
-        np.testing.assert_allclose(hanging.state(q).wrist, tip * [1, -1, -1], rtol=0, atol=1e-9)
+        wrist = standing.state(q).wrist
+        np.testing.assert_allclose(hanging.state(q).wrist, wrist * [1, -1, -1], rtol=0, atol=1e-9)
     assert hanging.state(hanging.data.q_home).tip[2] < 0.0
 
 
@@ -140,7 +140,7 @@ def test_wrist_is_the_point_on_the_last_axis_nearest_to_the_sixth_axis() -> None
     assert np.abs(found.wrist).max() > 1e-3
 
 
-def test_shaft_is_found_for_a_turned_an_offset_and_a_sliding_last_link() -> None:
+def test_shaft_is_found_on_turned_or_offset_flange_and_on_sliding_link() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 
@@ -159,9 +159,9 @@ def test_shaft_is_found_for_a_turned_an_offset_and_a_sliding_last_link() -> None
 def test_found_home_pose_meets_its_requirements(name: str) -> None:
     robot = load_robot(name)
     home = search_home(robot, seed=3)
-    left, state = freedoms(robot, home.q), robot.state(home.q)
-    assert left.tip > new.REGULAR[0]
-    assert left.both > new.REGULAR[1]
+    free, state = freedoms(robot, home.q), robot.state(home.q)
+    assert free.tip > new.REGULAR[0]
+    assert free.both > new.REGULAR[1]
     assert home.margin > new.MARGIN - 0.01  # rounded to two digits
     assert new.SHARE[0] <= home.mu / home.mu_best <= new.SHARE[1]
     assert state.mu == pytest.approx(home.mu)
@@ -254,7 +254,7 @@ def test_home_at_98_percent_of_the_largest_mu_has_verdict_care(robot: RobotModel
         assert rows(altered(robot, q_home=q))["mu at home"].verdict == judged
 
 
-def test_sliding_joints_distance_from_limit_is_in_mm() -> None:
+def test_distance_of_a_sliding_joint_from_its_limit_is_in_mm() -> None:
     rail = load_robot("lwr4_rail")
     row = rows(rail)["nearest limit"]
     room = min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])

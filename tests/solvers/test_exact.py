@@ -137,7 +137,7 @@ def test_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_answers_do_not_depend_on_units():
-    """Only the status may depend on the units, since the tolerance is absolute."""
+    """Only the status may depend on the unit of length, since the tolerance is absolute."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]

@@ -16,7 +16,7 @@ SEEDS = st.integers(0, 100_000)
 
 
 def right_hand_side(qp, x, l1, l2, k, scale=1.0):
-    """Return eps dY/dt as in docs/method.md, term by term."""
+    """Return eps times the time derivatives of x, l1 and l2 as in docs/method.md, term by term."""
     c0, c1, c2, rho = (scale * w for w in (qp.c0, qp.c1, qp.c2, qp.regularization))
     JT, JW = qp.J_tip, qp.J_wrist
     force = c0 * JT.T @ (JT @ x - qp.v_tip) + c1 * JW.T @ (JW @ x - qp.v_wrist) + rho * x - c2 * qp.grad_mu

@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine."""
+"""Jobs for the tests of the studies' engine."""
 
 import os
 import signal

@@ -85,7 +85,7 @@ def near(picture, colour, point, reach=3):
 
 
 @pytest.mark.parametrize("trocar", [FLAT.apply([0.0, 0.02, 0.15]), FLAT.apply([0.0, 0.0, 1.0])])
-def test_task_tip_and_trocar_are_drawn_at_their_projections(trocar):
+def test_task_and_tip_and_trocar_are_drawn_at_their_projections(trocar):
     """The second trocar is behind the camera."""
     page = draw(BLANK, CAMERA, task=LINE, progress=0.5, tip=TIP_PLACE, trocar=trocar, text="")
     assert near(page, DONE, LINE[5])
