@@ -22,7 +22,7 @@ def many(share=1.0):
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Allow only a MocOptError whose message contains one of `named`, if any are given."""
+    """Allow success, or a MocOptError. If `named` is not empty, the error's message must contain one of its entries."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")

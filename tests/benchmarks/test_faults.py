@@ -57,7 +57,7 @@ def test_recovery_ends_when_errors_stay_below_limits():
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # From t = 1.69 s on, the mean of the last 20 rows is below the threshold.
+    # From t = 1.69 s on, the mean of the current row and the 19 before it is below the threshold.
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0
@@ -118,7 +118,7 @@ def test_each_bad_row_makes_one_goal_fail():
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 
-def test_tip_waits_while_the_board_is_hidden():
+def test_tip_reference_waits_while_the_camera_is_lost():
     asked = Scenario(control={"preset": "tuned"}, duration_s=2.0, bound_samples=0, judge=False)
     trace, ended = run_case(asked, (0.8, 1.4))
     assert ended == "completed"

@@ -37,7 +37,7 @@ def test_registering_again_restores_accuracy(tiny):
     assert origins["moc_rcm_again_mm"] < 0.7 * origins["moc_rcm_after_mm"]
     assert all("too few trials" in row["undecided"] for row in summary["break_even"])
 
-    # A registration at tick 0 equals that of the start.
+    # A new registration at tick 0 gives the same errors as the registration before the run.
     case = results.config.cases(plant.CALIBRATION_STREAM, 1)[0]
     setup = Setup(case.change(duration_s=0.6, plant=plant.plant_of(case.plant, "both", 0.5).model_dump()))
     trace = setup.trace()

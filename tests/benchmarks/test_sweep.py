@@ -73,7 +73,7 @@ def test_equal_runs_are_planned_once() -> None:
     assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
 
 
-def test_without_a_list_of_solvers_the_scenarios_solver_runs() -> None:
+def test_solver_of_the_scenario_runs_if_no_solvers_are_listed() -> None:
     own = {**TINY, "solver": {"name": "osqp", "settings": {"eps": 1e-7}}, "control": {"law": "moc"}}
     (run,) = plan(Config(scenario=own, seeds=1))
     assert (run.controller, run.settings) == ("osqp", {"eps": 1e-7})
@@ -114,7 +114,7 @@ def test_times_are_reported_only_if_runs_are_timed(tiny: Any) -> None:
     assert untimed.summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
 
 
-def test_a_solver_whose_answers_were_replaced_is_marked_and_explained() -> None:
+def test_caption_explains_the_mark_of_a_solver_whose_answers_were_replaced() -> None:
     row = {"controller": "a", "ended": "completed", "error": None, "whole": True, "asked": 9, "faults": 9}
     rows = Results([row, {**row, "controller": "b", "faults": 0}])
     table = sweep.report({"all": sweep.grouped(rows)}, rows, {}, config()).table

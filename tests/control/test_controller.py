@@ -79,16 +79,16 @@ def test_third_level_fades_in(robot):
         faded.start(state.q, state.v, tip_ref, trocar)
 
 
-@pytest.mark.parametrize(("setting", "core_s"), [
+@pytest.mark.parametrize(("setting", "in_core"), [
     *(({"projector": name}, {"projector": k}) for k, name in enumerate(("dynamic", "static", "as_published"))),
     ({"feedforward": True}, {"feedforward": True}), ({"limit_torque": True}, {"tau_max": None}),
 ], ids=str)  # fmt: skip
-def test_settings_reach_the_core(setting, core_s, robot):
+def test_settings_reach_the_core(setting, in_core, robot):
     state = robot.state(robot.data.q_home)
     controller, _, tip_ref, trocar = started(robot, None, state, **{**QUIET, **setting})
     assert controller.solution is controller.subproblem is None
     tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # torque exceeds tau_max
-    given = {name: robot.tau_max if value is None else value for name, value in core_s.items()}
+    given = {name: robot.tau_max if value is None else value for name, value in in_core.items()}
     wanted = tracking(robot, state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
 
@@ -223,7 +223,7 @@ def test_exact_gives_the_same_bits_inside_the_core_and_through_a_session(robot, 
     assert np.isfinite(noted[0]["dual"]).all() == (speed < 1.0)
 
 
-def test_replacement_of_a_solver_process_is_reported_with_its_time(robot):
+def test_controller_reports_when_and_why_a_solver_process_was_replaced(robot):
     session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")], solve=lambda qp: EXACT.start(qp).solve(qp))
     controller, *_ = started(robot, watching(error=[session] * 2)[0])
     assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]

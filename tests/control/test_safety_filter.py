@@ -45,7 +45,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
         wall_stiffness_Nm_per_rad=2000.0 * rng.uniform(0.5, 2.0), wall_brake_rad_per_s2=rng.uniform(1.0, 4.0),
     )  # fmt: skip
-    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # offset / (half the range)
+    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # offset from the limit / half the range
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
@@ -133,7 +133,7 @@ def test_bad_measurements_are_bridged_by_extrapolation(robot):
 
 
 def test_largest_accepted_step_grows_with_each_bad_measurement(robot):
-    """After b bad measurements, the largest accepted distance from q + b T v is jump_rad + (1 + b) T v_max."""
+    """With the period T, b bad measurements allow a distance of jump_rad + (1 + b) T v_max from q + b T v."""
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):
@@ -213,7 +213,7 @@ def test_brakes_open_if_the_low_passed_trocar_force_exceeds_stop_yield_N(robot, 
     assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # open once, for stop_yield_s
 
 
-def test_low_passed_value_is_the_latest_one_if_the_time_constant_is_below_the_period(robot):
+def test_low_pass_returns_the_latest_value_if_its_time_constant_is_below_the_period(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}

@@ -90,7 +90,7 @@ def off_by(robot, q, distance):
 
 
 def weight(robot, q, force=0.0):
-    """The wrench reading at rest with a force [N] across the shaft."""
+    """The wrench that the sensor measures at rest, from the tool's weight and a `force` [N] across the shaft."""
     pose, length = robot.tool_pose(q), robot.data.tool_length
     load, pull = np.array([0.0, 0.0, -9.81 * robot.data.tool_mass]), force * pose[1]
     moment = np.cross(0.5 * length * pose[2], load) + np.cross((length - 0.15) * pose[2], pull)

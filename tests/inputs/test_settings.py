@@ -42,7 +42,7 @@ class Outer(Settings):
     ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
     ("flag", "yes", r"flag = 'yes': give true or false, without quotes"), ("flag", 1, r"flag = 1: give true or false"),
 ])  # fmt: skip
-def test_number_or_flag_of_another_type_is_refused(field, value, cure):
+def test_value_of_the_wrong_type_is_refused(field, value, cure):
     with pytest.raises(ScenarioError, match=cure):
         Kinds(**{field: value})
 
@@ -54,7 +54,7 @@ def test_values_of_the_right_type_are_unchanged():
     assert Kinds(limit=2) == Kinds(limit=2.0)
 
 
-def test_errors_name_table_field_value_and_range():
+def test_error_message_contains_the_table_the_field_the_value_and_the_range():
     for wrong, said in (
         ({"gian": 1.0}, r"unknown \[inner\] key 'gian': did you mean 'gain'\? valid names: gain, steps"),
         *(({"gain": value}, rf"\[inner\] gain = {re.escape(repr(value))}: input should be")

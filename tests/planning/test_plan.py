@@ -110,7 +110,7 @@ def test_a_course_far_below_the_bound_is_replaced(monkeypatch):
     found = planned.plan(trapped, times=60, swivels=180)
     assert found.climbed_whole
     assert 1.15 * found.climbed.mu_mean < found.from_start.mu_mean <= found.bound_from_start
-    assert [start is None for start in asked] == [False, True, False], "only the given start is searched again"
+    assert [start is None for start in asked] == [False, True, False], "the search from the given start is repeated"
 
 
 @pytest.mark.parametrize(("name", "margin"), [("margin_rad", -1.0), ("margin_m", np.inf), ("margin_m", "x")])

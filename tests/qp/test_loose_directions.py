@@ -126,7 +126,7 @@ def test_only_the_better_end_of_the_feasible_segment_is_verified(size):
     """The gradient is nearly orthogonal to the self-motion."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
-        unit = rng.choice([1.0, 1e3])  # of length
+        unit = rng.choice([1.0, 1e3])  # lengths in m or in mm
         U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (5, 6))
         A, x = unit * U * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T, rng.uniform(-0.4, 0.4, 6)
         b, lower, upper = A @ x, x - rng.uniform(0.5, 1.0, 6), x + rng.uniform(0.5, 1.0, 6)

@@ -131,7 +131,7 @@ def peer(robot):
 
 
 @pytest.mark.parametrize(("scenario", "said"), [(SCENARIO, "no controller"), (0, "no controller"), (8, "another scen")])
-def test_start_packet_of_another_session_is_ignored(peer, scenario, said):
+def test_run_does_not_start_with_packets_of_another_session_or_scenario(peer, scenario, said):
     peer.say(Kind.HELLO, scenario=scenario)
     peer.say(Kind.START, session=peer.session ^ 1)
     peer.say(Kind.COMMAND)
@@ -245,7 +245,7 @@ def answered(said):
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip
 def test_measurements_are_answered_and_counted(ticks, commands, corrected, counts, ended):
-    """``ticks`` has the sequence number and the previous torque of each measurement."""
+    """``ticks``: the sequence number of each measurement, and the torque [Nm] that it reports for the tick before."""
     last = measurement(wire.ENDED, max(ticks)[0])
     ending, packets, corrections = answered(
         [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]

@@ -48,7 +48,7 @@ def test_frames_agree_with_the_model(arm: str, request: pytest.FixtureRequest) -
     assert all((part.radii >= 0.0).all() and abs(np.linalg.norm(part.axis) - 1.0) < 1e-9 for part in parts)
 
 
-def test_product_of_the_ellipsoids_half_axes_is_mu(robot: RobotModel, regular_poses: Any) -> None:
+def test_half_axes_of_each_ellipsoid_multiply_to_mu(robot: RobotModel, regular_poses: Any) -> None:
     states = [robot.state(q) for q in regular_poses(5)]
     jacobians = np.array([state.J_tip for state in states])
     roots = velocity_ellipsoids(jacobians)

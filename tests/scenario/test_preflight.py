@@ -92,7 +92,7 @@ def test_joint_that_reaches_its_limit_along_the_path_is_named():
     assert told.value.arc_length_m == pytest.approx(0.1 * np.linspace(0.0, 1.0, len(free))[over][0], abs=PLACE_M)
 
 
-def test_error_names_trocar_path_or_start():
+def test_error_blames_the_trocar_the_path_or_the_start():
     up = straight(HOME.tip, HOME.tip + np.array([0.0, 0.0, 0.06]))
     away = straight(HOME.tip + np.array([0.0, 0.01, 0.0]), HOME.tip)
     for task, through, field, place in (
@@ -144,7 +144,7 @@ def test_a_random_start_is_regular_and_away_from_joint_limits(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_random_start_keeps_the_given_margins(name, margins):
-    """Without the margins, some joint comes nearer to its limit."""
+    """If the scenario gives no margins, some joint comes nearer to its limit than `margins`."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

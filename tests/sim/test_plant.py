@@ -266,14 +266,14 @@ def test_refused_start_does_not_change_the_plant():
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
 def test_after_a_runaway_the_plant_raises_errors_until_reset(force, tmp_path, monkeypatch):
-    """The second force drives the state out of MuJoCo's valid range within one period."""
+    """A force of 1e15 N drives the state out of MuJoCo's valid range within one period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
     plant.push("tool", [force, 0.0, 0.0])
     for words in ("ran away before t = .* lower the controller's gains", "call reset first"):
         with pytest.raises(PlantError, match=words):
             plant.step(np.zeros(7))
-    assert force > 1e10 or not list(tmp_path.iterdir())  # only the second force makes MuJoCo write its log file
+    assert force > 1e10 or not list(tmp_path.iterdir())  # only the force of 1e15 N makes MuJoCo write a log file
     plant.reset(DATA.q_home)
     assert np.abs(drive(plant, plant.applied_torque, 1).v).max() < 1e-6
 

@@ -28,7 +28,7 @@ def is_wrong(kind, qp, answer):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_exactly_the_drawn_ticks_are_wrong(kind):
-    """On a faulty tick, only "malformed" calls the inner solver."""
+    """On a faulty tick, the inner solver is called only if the kind is "malformed"."""
     inner = create("rnn")  # its answers depend on all earlier problems
     session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
     corrupted = draw(4, 0.3, len(PROBLEMS))

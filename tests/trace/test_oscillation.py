@@ -44,7 +44,7 @@ def test_oscillation_figures_equal_their_definitions(ticks, period):
     rest = np.sqrt(sum(parts[:6]) / (0.75 * width))
     found = shaking(Trace({"t_s": t, "v_rad_per_s": v}), "v_rad_per_s")
     assert found[1:] == pytest.approx((np.sqrt(np.mean(worst**2)), largest, rest), abs=1e-9)
-    assert found.joint == joint or period > 1.0 / 12.0  # then the mean covers one tick, and v - mean is 0
+    assert found.joint == joint or period > 1.0 / 12.0  # above this period, the mean covers one tick: v - mean is 0
     for rms, rest, counts in ((0.3, 0.11, True), (0.3, 0.1, False), (0.2, 0.15, False), (0.1, 0.15, False)):
         assert found._replace(rms=rms, rest=rest).above(0.2) == counts
 
