@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # largest difference of tip and wrist velocity along a rigid shaft, relative to |A|
+TIED = 1e-12  # largest difference, relative to |A|, between the velocities of tip and wrist along a rigid shaft
 RANK_TOLERANCE = 1e-12  # A singular value up to this share of |A| counts as zero.
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 ZERO = Fraction(0)
@@ -40,9 +40,9 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
     """Minimise rho/2 |x|^2 - pull^T x subject to A x = b, lower <= x <= upper, without rounding.
 
-    Joints whose column of A is zero are solved one by one. For the others, all sets of active bounds are tried (only
-    vertices if rho is 0). The first point within the bounds whose multipliers have the right signs is an optimum,
-    because the problem is convex. Return None if the problem is infeasible.
+    Each joint whose column of A is zero is solved alone. For the joints with nonzero columns, all sets of active bounds
+    are tried. If rho is 0, only vertices are tried. A tried point is an optimum if it is within the bounds and its
+    multipliers have the right signs, because the problem is convex. Return None if the problem is infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -83,7 +83,7 @@ def _stationary(
 ) -> tuple[Vector, Vector] | None:
     """Return (stationary point x, multipliers m) for these active bounds, or None if x or m is not unique.
 
-    They satisfy N^T (weight x - gains) = N_S^T m. N is the basis of ker A, N_S its rows for the joints in ``active``.
+    N^T (weight x - gains) = N_S^T m. N is the basis of ker A. N_S has the rows of N for the joints in ``active``.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
@@ -129,7 +129,7 @@ def certified(qp: NullSpaceQP) -> Vector | None:
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Certify the answers of a set. Raise a CertificateError if HiGHS disagrees on feasibility."""
+    """Return problems with exact answers. Raise a CertificateError if HiGHS and this module disagree on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

@@ -13,7 +13,7 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A limit for the value of ``measured`` (number, `Interval` or `Change`). An interval meets it with both ends."""
+    """A limit for the value (number, `Interval` or `Change`) of ``measured``. Both ends of an interval must meet it."""
 
     what: str
     unit: str

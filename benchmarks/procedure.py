@@ -48,7 +48,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    # The hand already causes a registration error.
+    # Guiding by hand already causes a registration error. The plant adds none.
     plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)
@@ -63,7 +63,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
     trace, waited, lost = _run(scenario, plant, scene, path, q, (guided.trocar, guided.registered))
     count = scene.film(film, trace, path, guided.registered) if film is not None else 0
-    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))  # from the true task
+    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))  # from the task on the true board
     metrics = summarize(trace)
     return {
         "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],

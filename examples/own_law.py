@@ -54,7 +54,7 @@ class OwnLaw:
         """Do nothing: this law has no observer."""
 
     def columns(self, ticks):
-        """Return no further columns."""
+        """Add no columns to the trace."""
         return {}
 
     def note(self, row, columns):

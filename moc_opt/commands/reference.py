@@ -29,9 +29,9 @@ A scenario is a TOML file. A key that is left out takes its default. The followi
     [control]
     preset = "tuned"
 
-A number has the unit at the end of its name or in brackets. For example, `_m_per_s` is m/s, and `_ticks` is in control
-periods. In `[guard]`, `inf` switches off a limit of RCM error or force. Relative paths start at the file's folder.
-`moc-opt keys --markdown` writes this page. [method.md](method.md) explains the control law and its terms.
+A number's unit is at the end of the key, or in brackets in the meaning. For example, `_m_per_s` is m/s, and `_ticks` is
+in control periods. In `[guard]`, `inf` switches off a limit of RCM error or force. Relative paths start at the file's
+folder. `moc-opt keys --markdown` writes this page. [method.md](method.md) explains the control law and its terms.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 PAGE = re.compile(r"docs/(\w+\.md)")
@@ -80,7 +80,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
 
 
 def markdown(only: str | None = None) -> str:
-    """Return the text of docs/scenario.md, or only its section on the table ``only``."""
+    """Return the text of docs/scenario.md. If ``only`` names a table, return the section about that table."""
     parts = [HEAD] if only is None else []
     for name, about, keys in tables():
         if only not in (None, name or TOP):

@@ -1,7 +1,7 @@
 /* Checks and converts the arguments of calls from Python. */
 #include "python.h"
 
-/* The symbolic lengths of python.h, from N to ANY: factors of n^2, n and 1, and the text in messages. */
+/* The symbolic lengths of python.h, from N to ANY: coefficients of n^2, n and 1, and the text in messages. */
 static const struct {
     int nn, n, one;
     const char *words;

@@ -5,7 +5,7 @@
 /* Compute the trocar's force on the tool and its moment about the tool's centre of mass com, in world axes.
  * force = (I - u u^T)(stiffness (P - p) + damping (dP - w)). P is the trocar, u the shaft's direction, p the shaft's
  * point nearest to P, and w the tool's velocity at p. twist: the tool's angular velocity, and the velocity
- * of its point `origin`. trocar: P and dP of `elapsed` seconds ago (dP is constant). */
+ * of its point `origin`. trocar: P `elapsed` seconds ago, and the constant dP. */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {

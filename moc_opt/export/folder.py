@@ -28,7 +28,7 @@ CORE = (
 TESTS = ("main.c", "Makefile", "README.md")
 UDP = ("udp.c",)
 OWN = files("moc_opt.export") / "c"
-MARK = "Written by moc-opt export-c"  # begins every exported text file
+MARK = "Written by moc-opt export-c"  # in the first line of every exported text file
 SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
@@ -45,9 +45,9 @@ class Recording(NamedTuple):
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
-    tau: Array  # (k, n) filtered torque [Nm]
+    tau: Array  # (k, n) torque after the safety filter [Nm]
     sent: Array  # (n,) torque before the first tick [Nm]
-    sound: int  # number of ticks before the first fault
+    sound: int  # The first `sound` ticks have no faults.
     stopped_at: int  # tick of the stop, or -1
 
 
@@ -129,7 +129,7 @@ def recording_in_c(recording: Recording) -> str:
     r = recording
     columns = zip(r.q, r.v, r.stamp.astype(int), r.tip_ref, r.trocar, r.wrench, r.tau, strict=True)
     return f"""\
-/* Recorded ticks of the Python controller. The last {len(r.q) - r.sound} ticks have faulty inputs. */
+/* Recorded ticks of the Python controller. Only the last {len(r.q) - r.sound} ticks can have faulty inputs. */
 #include <math.h>
 
 #include "constants.h"
@@ -156,7 +156,8 @@ def write(
     """Write the folder, and return its files.
 
     Args:
-        law, guard: numbers under the names in moc.h.
+        law: values of the fields of moc_law and moc_supervision.
+        guard: values of the fields of moc_guard.
         tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives [Nm s/rad] and shortest duration [s] of a stop.
         extra: further files by name.

@@ -33,14 +33,14 @@ class Settings(pydantic.BaseModel):
 
     Raises:
         UnknownNameError: a field does not exist.
-        MocOptError: a value is wrong. The subclass ``ERROR`` is raised.
+        MocOptError: a value is wrong. The error's class is ``ERROR``.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
-    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Further keys that a file may have.
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Keys that a file may have besides the fields.
 
     @pydantic.field_validator("*", mode="wrap")
     @classmethod
@@ -71,7 +71,7 @@ class Settings(pydantic.BaseModel):
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def change(self, **changes: Any) -> Self:
-        """Copy with some fields changed. A mapping given for a table changes only the mapping's keys.
+        """Copy with some fields changed. For a table, a mapping without ``preset`` changes only the keys that it lists.
 
         Raises:
             UnknownNameError, MocOptError: as for the constructor.

@@ -9,8 +9,8 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: Distance to the local maximum below which the elbow counts as arrived.
-STILL_RAD_PER_S = 0.05  #: Rate of change of this distance below which the elbow counts as resting.
+NEAR_RAD = 0.1  #: Below this distance to the local maximum of mu, the elbow counts as arrived.
+STILL_RAD_PER_S = 0.05  #: Below this rate of change of that distance, the elbow counts as resting.
 SAMPLES_PER_S = 25.0  #: Scans of the self-motion per second of a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
 WINDOW_S = 0.1  #: Time over which the rate of change is averaged.
@@ -23,7 +23,7 @@ class Elbow:
         """Choose elbow joint and reference direction for the wrist centres (k, 3) [m]."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
-        # The shoulder is the second joint that turns.
+        # The shoulder is the joint after the first joint that turns.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)

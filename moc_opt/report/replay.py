@@ -104,7 +104,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return a run's data at ``times``. After its end, the arm stands still."""
+    """Return a run's data at ``times``. After the run's end, the arm stands still."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -171,7 +171,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link from frame k - 1, in frame k - 1
+    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link on frame k - 1, in that frame
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach
@@ -185,7 +185,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # Links can have zero length, so the longer link at the joint decides whether it is an elbow.
+        # Links can have zero length. The longer link at the joint decides whether the joint is drawn as an elbow.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]

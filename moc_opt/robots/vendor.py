@@ -33,7 +33,7 @@ class VendorArm:
     notes: list[str]  #: Assumptions and changes.
     last_link: str = ""
     chain: list[Joint] = field(default_factory=list)  #: Moving joints from base to last link.
-    weak: list[str] = field(default_factory=list)  #: Joints of the chain without a usable effort limit.
+    weak: list[str] = field(default_factory=list)  #: Names of the chain's joints that have no usable effort limit.
 
 
 def read_vendor(

@@ -48,7 +48,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
         joint.damping[0] = joint.frictionloss = 0.0
-        # With MuJoCo's softer default, a loaded joint would creep a hundred times faster.
+        # MuJoCo's default friction is softer: with it, a loaded joint would creep a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
@@ -104,7 +104,7 @@ def _bare(urdf: str) -> str:
 
 
 def check_engines(robot: RobotModel) -> None:
-    """Raise a RobotError if pinocchio and MuJoCo differ in M, h, tip or wrist by over `TOLERANCE` at random states."""
+    """Raise a RobotError if pinocchio and MuJoCo differ in M, h, tip or wrist by over `TOLERANCE` at `POSES` states."""
     data, rng = robot.data, np.random.default_rng(0)
     model = compile_model(data.name, build_spec(data, substep_s=0.001))
     state, M = mujoco.MjData(model), np.zeros((data.n, data.n))
@@ -119,7 +119,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia in the scale of M would hide errors of small links.
+        # `heavy` leaves out the rotors. With their inertia, the tolerance for M would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -22,7 +22,7 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off.
+    """The simulated arm, its trocar and its sensors. The value 0 switches off an error, noise, ripple or delay.
 
     Raises:
         PlantError: a value is out of range.
@@ -51,7 +51,7 @@ class PlantSettings(Settings):
     """standard deviation of the encoders' constant errors, one per joint"""
     encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the encoders' noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
-    """difference between two neighbouring readings of an encoder. The default is a turn / 2^18"""
+    """smallest step of an encoder's reading. The default is one turn divided by 2^18"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
     """cut-off frequency of the low-pass filter on differentiated positions. 0: no filter"""
     encoder_side: Literal["link", "motor"] = Field("link", description="side of an elastic joint that encoders measure")

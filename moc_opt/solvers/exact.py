@@ -47,11 +47,11 @@ class Exact(SolverSettings):
     session = ExactSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return a message if there are too many joints, or None."""
+        """Return None, or a message if there are too many joints."""
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve the subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
+        """Solve the subproblems ``rows`` (k, 11 n + 10). Return x (k, n), multipliers y (k, 6) and k statuses.
 
         x and y are NaN if the status is not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
         """

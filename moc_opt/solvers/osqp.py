@@ -71,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the previous solve from its starting point, with at most ``iterations`` (at least 1)."""
+        """Repeat the previous solve from its starting point, with a limit of ``iterations`` >= 1."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 

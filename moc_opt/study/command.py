@@ -114,7 +114,7 @@ class Study:
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Find the start poses. Return the trials that have one, and a row for each of the others."""
+        """Find the start poses. Return the trials with a start pose, and a row for each trial without one."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -212,7 +212,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the wanted solvers that can run here, and the reasons why the others cannot.
 
-    ``beside`` are further accepted names, such as those of controllers without a solver.
+    ``beside`` are accepted names that are no solvers, such as those of controllers without a solver.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)

@@ -135,7 +135,7 @@ def run_trial(asked: Trial) -> Run:
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return a trial's `Run` and its trace. With a ``baseline``, metrics include the gain over it."""
+    """Return a trial's `Run` and its trace. With a ``baseline`` of equal length, metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:

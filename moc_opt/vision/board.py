@@ -73,7 +73,7 @@ class VisionSettings(Settings):
 
 
 class Board(VisionSettings):
-    """A grid of square markers on the phantom (a dummy patient). They are numbered row by row from the top left."""
+    """A grid of square markers on the phantom (a dummy patient). Markers are numbered row by row from the top left."""
 
     KIND: ClassVar[str] = "[board]"
 
@@ -83,7 +83,7 @@ class Board(VisionSettings):
     gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
     hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="share of the markers that are covered")
     lost_s: tuple[tuple[float, float], ...] = ()
-    """intervals [from, until] of time in seconds in which nothing of the board can be seen"""
+    """time intervals [from, until] in seconds, in which the board is out of sight"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -174,7 +174,7 @@ def board_task(name: str) -> BoardTask:
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar, `depth_m` below it.
+    """Return the pose of a board that faces the trocar, ``depth_m`` from the trocar along the shaft.
 
     ``shaft`` (3,) is the direction from the trocar into the body. The board's x is the base's x, projected on the
     board, and its z points to the trocar. A TaskError is raised if the shaft is parallel to the base's x.
