@@ -49,7 +49,7 @@ IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 class Config(StudyConfig):
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seed: int = Field(4000, ge=0, description="the limits of courses were chosen on other seeds")
+    seed: int = Field(4000, ge=0, description="the limits of a course (docs/planning.md) were chosen on other seeds")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="changes of [control] for each closed loop, by name")
     halvings: int = Field(3, ge=0, description="starts per robot that are planned again at half the grid spacing")
@@ -93,7 +93,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Run a closed loop. ``mine``, ``best``: mean mu of the best course from this and from any start."""
+    """Run a closed loop. ``mine``: mean mu of the best course from this start. ``best``: the same, from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -219,7 +219,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
-    ], first, "✔ the goal is met, ✘ missed, ? undecided. A value without a sign has no goal.")  # fmt: skip
+    ], first, "✔ the goal is met, ✘ missed, ? undecided. A value with none of these marks has no goal.")  # fmt: skip
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
     by_arm = [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]

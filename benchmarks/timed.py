@@ -30,7 +30,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # The times of this many calls at the start of each chunk are "cold".
+COLD = 5  # The first COLD calls of each chunk count as "cold".
 
 
 class Timed(NamedTuple):

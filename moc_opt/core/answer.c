@@ -41,9 +41,9 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* `natural`, `off` and `opposite` are measured along a line through x in ker A. If ker A has several dimensions without
- * idle joints, this is the line of steepest feasible descent. Let z be its unit vector, s = z^T x and g = z^T pull. On
- * the line, the cost is rho s^2 / 2 - c2 g s + constant. Its optimum is s = c2 g / rho, clipped to the bounds. */
+/* `natural`, `off` and `opposite` are measured along a line through x, parallel to ker A. If ker A has several
+ * dimensions, idle joints not counted, this is the line of steepest feasible descent. Its unit vector is z, s = z^T x,
+ * g = z^T pull. Along z, the cost is rho s^2/2 - c2 g s + const. The optimum is s = c2 g/rho, clipped to the bounds. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -86,7 +86,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* even if x is beyond a bound */
+    low = smaller(0.0, low); /* low <= 0 <= high, even if x is beyond a bound */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
@@ -102,7 +102,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* Write the part in ker A of the shortest feasible x to `motion`. */
+/* Compute `motion`, the part in ker A of the feasible x with the smallest norm. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;

@@ -5,7 +5,7 @@
 #define TOLERANCE 1e-10 /* largest allowed position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* Compute the position error of tip and wrist, A and, if grad is not NULL, grad mu. Returns mu. */
+/* Compute the position errors of tip and wrist, and A. If grad is not NULL, compute grad mu too. Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve's start lies ahead of q within one step. `pose` is the start after those whole turns of its
- * revolute joints that bring it nearest to q. */
+/* Whether the curve's start lies ahead of q within one step. `pose` is the start, brought nearest to q by whole
+ * turns of its revolute joints. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -166,8 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute the curve's next pose, mu and tangent. `step` is halved until this succeeds. Returns the distance from q, or
- * 0 if no step succeeds because the curve is singular. */
+/* Compute the curve's next pose, mu and tangent. `step` is halved until this succeeds. Returns the distance from q to
+ * this pose, or 0 if no step succeeds (at a singularity of the curve). */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {
@@ -255,7 +255,7 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- dynamic programming --- */
 
-/* Return the largest (next value - cost of the motion) over the branch's next poses within reach, at least `best`. */
+/* Return the larger of `best` and max(next value - cost of the motion) over the branch's next poses within reach. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all branches whose number differs only in `bits` */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* branches that differ from the pose's only in `bits` */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

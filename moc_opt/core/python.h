@@ -19,11 +19,11 @@
 #include "tools.h"
 
 /* READ: a C-contiguous float64 array. WRITE: such an array, to fill. STRIDED: an array with any strides, to fill.
- * MAYBE: READ or None. NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
+ * MAYBE: READ or None. NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, at the table's end. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths (formulas: arguments.c). N is n joints, ROW the record of a subproblem, TERMS that of moc_terms, and
- * TICKED the results of a tick. The first K of a call sets k. ANY: any length. columns = 0: an array with one axis. */
+ * TICKED the results of a tick. The first array of length K sets k. ANY: any length. columns = 0: one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {

@@ -63,7 +63,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # If the first list is empty, plotly draws none of the controller's boxes.
+            # If the first list in y is empty, plotly draws none of the controller's boxes.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # opacity 0.28

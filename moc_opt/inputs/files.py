@@ -1,6 +1,6 @@
 """Read files up to a maximum size, and write files completely or not at all.
 
-On failure, ``error`` is raised. Its message begins with ``what``, the kind of file.
+On failure, a function raises its argument ``error``. The message begins with the argument ``what``, the kind of file.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def time_mean(rows: Array) -> float:
 
 
 def between(t: Array, times: Array, rows: Array) -> Array:
-    """Interpolate rows (k,n), given at ``times`` (k,), linearly at ``t`` (m,)."""
+    """Interpolate linearly at ``t`` (m,) between the rows (k,n) of the ``times`` (k,)."""
     return np.stack([np.interp(t, times, column) for column in rows.T], axis=1)
 
 

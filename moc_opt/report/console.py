@@ -32,7 +32,7 @@ def divert_output(wanted: bool) -> ExitStack:
         sys.stdout.flush()
         kept = os.dup(1)
         os.dup2(2, 1)
-        for undo in ((os.close, kept), (os.dup2, kept, 1), (ctypes.CDLL(None).fflush, None)):  # the last one first
+        for undo in ((os.close, kept), (os.dup2, kept, 1), (ctypes.CDLL(None).fflush, None)):  # run in reverse order
             _diverted.callback(*undo)
         _diverted.enter_context(redirect_stdout(sys.stderr))
     return _diverted
@@ -79,7 +79,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count steps as done, and show ``now``, the name of the current step."""
+        """Count ``steps`` as done, and show ``now``, the name of the current step."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:

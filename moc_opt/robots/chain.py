@@ -58,7 +58,7 @@ class Kinematics:
     mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability.
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: Gradient of mu (n,).
     shaft: casadi.Function = field(compare=False, repr=False)
-    """(mu_shaft / |tip - wrist|^2)^2, smooth at 0, with `RobotState.mu_shaft`."""
+    """(mu_shaft / |tip - wrist|^2)^2, smooth where mu_shaft is 0. `RobotState` defines mu_shaft."""
 
 
 @lru_cache(maxsize=64)
@@ -90,8 +90,8 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
     gram = ca.mtimes(jacobian, jacobian.T)
     mu = ca.sqrt(ca.det(gram))
     held = ca.mtimes([lever, jacobian.T, ca.inv_minor(gram)])
-    rest = ca.mtimes(lever, lever.T) - ca.mtimes([held, jacobian, lever.T])
-    minors = sum(rest[a, a] * rest[b, b] - rest[a, b] * rest[b, a] for a, b in ((0, 1), (1, 2), (2, 0)))
+    schur = ca.mtimes(lever, lever.T) - ca.mtimes([held, jacobian, lever.T])
+    minors = sum(schur[a, a] * schur[b, b] - schur[a, b] * schur[b, a] for a, b in ((0, 1), (1, 2), (2, 0)))
     shaft = minors / float(np.linalg.norm(chain.offsets[0] - chain.offsets[1])) ** 4
     outputs = {"tip": tip, "wrist": wrist, "mu": mu, "grad_mu": ca.gradient(mu, q), "shaft": shaft}
     functions = {key: ca.Function(key, [q], [value], ["q"], [key]) for key, value in outputs.items()}

@@ -78,7 +78,7 @@ class Home(_Table):
 
 
 class RobotDescription(_Table):
-    """The TOML file; the path `urdf` is relative to its folder."""
+    """The TOML file. The path `urdf` is relative to the folder of the TOML file."""
 
     KIND: ClassVar[str] = "robot"
     name: Name

@@ -72,8 +72,8 @@ def followable_plan(
     """Plan a course within limits, and return the plan and the limits.
 
     ``followed`` says whether level 3 follows the course (None: as in [control]). If so, [control] gives a missing speed
-    share, and the margins if both are missing. If no plan keeps these margins, they become 0. Any other missing limit
-    is the arm's own.
+    share, and the margins if both are missing. These margins become 0 if no plan keeps them. In all other cases, a
+    missing margin is 0, and a missing speed share is 1.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

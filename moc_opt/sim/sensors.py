@@ -94,7 +94,7 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: A decaying filter output cannot underflow for this many time constants.
+_DEAD = 600.0  #: A decaying filter output needs more than this many time constants to underflow.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:

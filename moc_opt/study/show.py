@@ -117,7 +117,7 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Return a table column for each metric or change. ``of``: section to link to; ``titles``: headings by metric."""
+    """Return a column for each metric, or change of a metric from the baseline. ``of``: section to link to."""
     found = []
     for name in metrics:
         bare = name.removeprefix("settled_").removeprefix("travelling_")

@@ -29,7 +29,7 @@ _NEAR_M = 0.01
 
 
 class Augmented:
-    """An endoscope above a phantom's board: `camera` has its true pose, `believed` its calibrated pose."""
+    """An endoscope above a phantom's board. `camera` has the endoscope's true pose, `believed` the calibrated one."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,

@@ -1,5 +1,5 @@
 /* The controller over UDP (docs/realtime.md).
- * Usage: moc_udp HOST PORT reference.bin, with the plant's address and the key in MOC_OPT_WIRE_KEY. */
+ * Usage: moc_udp HOST PORT reference.bin. HOST and PORT are the plant's address. MOC_OPT_WIRE_KEY holds the key. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -93,7 +93,7 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
 
-/* Whether a datagram is a correctly signed measurement from the plant, and of this session if it is known. */
+/* Whether a datagram is a correctly signed measurement from the plant and, if wire.session is known, belongs to it. */
 static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in *sender)
 {
     const wire_header *head = (const wire_header *)bytes;
@@ -107,7 +107,7 @@ static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in 
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
 
-/* Wait for a valid measurement until `until` [ns], or TURN_US longer. Returns 0 if none has arrived. */
+/* Wait for a valid measurement until the time `until` [ns], at most TURN_US longer. Returns 0 if none has arrived. */
 static int receive(int64_t until, wire_measurement *found)
 {
     do {
