@@ -2,7 +2,7 @@
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-The true value is a metric's change from DCAC to MOC over a pool of trials. Each interval uses trials drawn from it.
+The true value is a metric's change from DCAC to MOC over a pool of trials. Intervals use trials drawn from this pool.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ Inputs = tuple[Array, Array, Array, Array]
 Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
-TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0  # largest error of tip and shaft, and least rise of mu, of a sound peer
+TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0  # a sound peer's largest error of tip or shaft, and least rise of mu
 CLIMB = 30.0
 """wanted null-space velocity of the joints / grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
@@ -332,7 +332,7 @@ def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
 def check(name: str) -> str | None:
     """Run a peer on the default arm. Return how it fails, or None.
 
-    Call this in a separate process, because a mismatched wheel can crash Python.
+    Call this in a separate process, because a wheel built against other library versions can crash Python.
     """
     robot = load_robot()
     task = circle(robot)

@@ -143,8 +143,8 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
     arm_column = Column("robot", "arm")
     sections = [
-        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled errors: "
-                f"means while the elbow travels in no run of the trial. {FRAMES}", [Table("Every arm and controller", [
+        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled errors: means over "
+                f"ticks at which the elbow travels in no run of a trial. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [
@@ -184,7 +184,7 @@ def pictures(summary: Mapping[str, Any], judged: str) -> list[Picture]:
     return found
 
 
-main = partial(command, "robots", "Which findings hold on every arm.", Config, work)
+main = partial(command, "robots", "Which findings hold on which arm.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

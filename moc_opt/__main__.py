@@ -47,7 +47,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         warnings.formatwarning = lambda text, *_, **__: f"{text}\n"
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow, so Ctrl-C must work
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: in the try, for Ctrl-C
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions

@@ -126,7 +126,7 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def located(error: BaseException) -> str:
-    """Return `describe(error)` and, of the first file outside moc_opt, the innermost line: " (mine.py, line 12)"."""
+    """Return `describe(error)` and " (mine.py, line 12)": the first file outside moc_opt, and its innermost line."""
     lines = {
         frame.f_code.co_filename: line for frame, line in walk_tb(error.__traceback__)
         if str(frame.f_globals.get("__name__")).partition(".")[0] != "moc_opt"

@@ -180,7 +180,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
 
 
 def run_plant(given: argparse.Namespace) -> int:
-    """Run the plant for a controller in another process."""
+    """Run the plant in this process, for a controller in another process."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
@@ -198,7 +198,7 @@ def run_plant(given: argparse.Namespace) -> int:
 
 
 def run_control(given: argparse.Namespace) -> int:
-    """Run the controller for a plant in another process."""
+    """Run the controller in this process, for a plant in another process."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.scenario.wired import answer
 

@@ -53,7 +53,7 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * C u = 0 for the shaft's axis u, and pdet(C) is the product of the other two eigenvalues. It is the same in all axes.
+ * C u = 0 for the shaft's axis u, and pdet(C), the product of the other two eigenvalues, is the same in all axes.
  * In axes that turn with the tool, dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k.
  * Let N = I - pinv(J_T) J_T and K = J_W pinv(J_T). dmu_s/dq_k is the sum of two terms
  * mu_s (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j), where the subscript j means column j:

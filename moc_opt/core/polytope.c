@@ -75,7 +75,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the multiplier that is zero first while that of joint p grows by *step. Returns its joint, or NONE. */
+/* Returns the joint whose multiplier reaches 0 first while that of joint p grows (by *step), or NONE. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -122,7 +122,7 @@ static bool push(polytope *t, int p, int *active)
 }
 
 /* Move s in ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If no
- * point is found, the bounds are widened step by step up to `most`, because rounding may have lost it. */
+ * point is found, perhaps because of rounding errors, the bounds are widened in growing steps of at most `most`. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];

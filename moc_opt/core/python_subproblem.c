@@ -43,7 +43,7 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
  * The five rows are A5 = lift A: three of the tip, and two of the wrist across the tool's direction u. If y5 are the
  * multipliers of A5, lift^T y5 are those of A. */
 
-#define TIED 1e-7 /* largest (sixth singular value of A) / |A|_F of a rigid tool */
+#define TIED 1e-7 /* a tool is rigid if (sixth singular value of A) / |A|_F is at most this */
 
 /* Compute the unit vector u with u^T D = 0, D = J_T - J_W. A nonzero column of the adjugate of D D^T is parallel to u.
  * Returns false if the tool is not rigid. */

@@ -78,7 +78,7 @@ def references(setup: Setup) -> bytes:
 
 
 def record(setup: Setup) -> Recording:
-    """Record controller and safety filter on measurements of the run. The last third has faults."""
+    """Feed measurements of the run to controller and safety filter. Faults are added to the last third of the ticks."""
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))
     k = min(TICKS, whole)

@@ -40,7 +40,7 @@ def time_series(
     A dotted line is the largest mu of all feasible poses with the same tip and shaft.
 
     Args:
-        runs: for each name, a `Trace` or a dict of columns. Of a column (N, k), the norms are drawn.
+        runs: for each name, a `Trace` or a dict of columns. Of a column (N, k), the norm of each row is drawn.
         panels: columns. None means ``PANELS``, but the columns of ``TIPS`` that every run has replace `tip_error_m`.
 
     Raises:
@@ -95,7 +95,7 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series to the extremes of equal stretches, the ends, and gaps.
+    """Thin a series: keep its two ends and, in each of many equal stretches, both extremes, and a gap if there is one.
 
     Args:
         t, y: (N,) times and values; NaN in y is a gap.

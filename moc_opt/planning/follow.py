@@ -67,7 +67,7 @@ class Planner:
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the solver, so that a second run is bitwise equal to the first. It takes 0.15 s, more than a tick."""
+        """Rebuild the solver (this takes 0.15 s), so that a second run is bitwise equal to the first."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
@@ -171,9 +171,10 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # A new course takes effect at the next solve, as if its own solve took that long. If a solve gives no
-            # course, the course followed so far returns at the next solve. For an arm on a rail, this was more
-            # accurate than to keep the course of the previous solve.
+            # From this tick on, the arm follows `now`, the course of the previous solve. The course of this solve waits
+            # in `_next` until the next solve, as if this solve took that long. If this solve finds no course, the
+            # course followed before `now` waits in `_next` instead. For an arm on a rail, returning to that course was
+            # more accurate than staying on `now`.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -33,9 +33,9 @@ _POSES = 16
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive one table of gains for each name in `CARTESIAN`.
 
-    K_N2 of joint i is proportional to M_ii at home, and D_N2 to K_N2. The other gains are those of the LWR4+. If a
-    ratio of gain to inertia exceeds its bound, which keeps the sampled loop stable, the gains of this level are scaled
-    down together.
+    K_N2 of joint i is proportional to M_ii at home, and D_N2 to K_N2. The other gains are those of the LWR4+. The
+    ratios of gain to inertia have upper bounds, so that the sampled loop is stable. If a ratio exceeds its bound, both
+    gains of its level (K and D of tip, RCM or manipulability) are scaled down by the same factor.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

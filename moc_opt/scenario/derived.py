@@ -38,7 +38,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute the model errors of tip and RCM [m], from joint positions with the encoders' bias.
+    """Compute the tip and RCM errors [m] that the controller's model gives for the measured joint positions.
 
     Return {} if the encoders measure the motors of elastic joints, because the controller then sees motor positions.
     """
@@ -112,8 +112,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    In its part ``end``, ``best_mu`` is mu at the end of the best course from the start. A climb of mu from the end of
-    the run leads to ``top_mu``, at a maximum or a joint limit.
+    In the entry's part ``end``, ``best_mu`` is mu at the end of the best course from the start. ``top_mu`` is the mu
+    reached by climbing along the self-motion from the run's last pose, until a maximum or a joint limit.
     """
     try:
         known = best_courses(scenario)

@@ -18,7 +18,7 @@ MOST = 2**31 - 1  # upper limit of an integer setting (32 bits)
 
 
 class Status(Enum):
-    """The status of an answer. Its value explains it or names a remedy."""
+    """The status of an answer. Each member's value explains the status or names a remedy."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
@@ -81,7 +81,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped after a given number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the last `solve`, of the same ``qp``. Return the iterate after ``iterations`` (at least 1)."""
+        """Repeat the last `solve`, which had the same ``qp``. Return the iterate after ``iterations`` (at least 1)."""
 
 
 @runtime_checkable
@@ -95,7 +95,8 @@ class ObservingSession(Protocol):
 class SolverSettings:
     """Base class of this package's solvers (frozen dataclasses). It checks their settings.
 
-    Where `choices` lists no values, an int must be at least 1, and a float above 0 or equal to a default of 0 or None.
+    Where `choices` lists no values, an int must be at least 1, and a float must be above 0. If the default is 0 or
+    None, this value is valid too.
     """
 
     name: ClassVar[str]

@@ -32,7 +32,7 @@ class Faulty:
 
     Args:
         inner: the wrapped solver. Its answers are used at ticks without a fault.
-        kind: "fail": no answer; "nan": x is NaN; "lie": optimum for the negated gradient; "raise": an exception;
+        kind: "fail": no answer; "nan": x is NaN; "lie": optimum for -pull; "raise": an exception;
             "outside": x outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
         rate: probability of a fault at a tick, 0 to 1.
         seed: seed of the draw.

@@ -83,7 +83,7 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Choose the markers to cover at random: a share ``fraction`` (0 to 1) of all."""
+    """Choose at random which markers are covered: a share ``fraction`` (0 to 1) of all."""
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
