@@ -26,7 +26,7 @@ class Layout:
     """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) joint positions at the start [rad]
-    trocar: Array  #: (3,) registered trocar at rest [m]
+    trocar: Array  #: (3,) registered trocar without breathing [m]
     registered: Trocar  #: Registered trocar as a function of time.
     reference: Reference  #: Path of the tip as a function of time.
     duration_s: float
