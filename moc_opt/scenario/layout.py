@@ -16,7 +16,7 @@ from moc_opt.scenario import preflight
 from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
-MOST_TICKS = 1_000_000  # largest number of ticks in a run; their residuals take about 4 GB of memory
+MOST_TICKS = 1_000_000  # largest number of ticks in a run; with 7 joints, such a run takes about 3 GB of memory
 
 _POSE_STREAM = (1,)  # random stream of the start pose
 
