@@ -1,4 +1,4 @@
-"""Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
+"""Put the results of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
 The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` becomes the answer and the first table of
 RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and its closing comment becomes section TITLE.

@@ -1,4 +1,4 @@
-"""Errors of a run while the elbow travels to its optimum, and after that."""
+"""Mean mu, errors and trocar force of a run while the elbow travels to its optimum, and after that."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from moc_opt.study.trials import Run
 
 
 def with_phases(runs: Iterable[Run]) -> list[Run]:
-    """Add to each run its mean errors while the elbow travels (``travelling_NAME``) and afterwards (``settled_NAME``).
+    """Add to each run its means while the elbow travels (``travelling_NAME``) and afterwards (``settled_NAME``).
 
-    All controllers of a trial have the same phases: a tick counts as travelling if the elbow travels in any run.
+    All runs of a trial have the same phases: a tick counts as travelling if the elbow travels in at least one of them.
     """
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}

@@ -62,7 +62,7 @@ def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
-        # Near a singularity, almost every tip velocity but zero is infeasible.
+        # Near a singularity, almost all nonzero tip velocities are infeasible.
         yield at_pose(robot, q, np.zeros(3))
 
 

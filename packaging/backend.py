@@ -18,7 +18,7 @@ from setuptools.build_meta import *  # noqa: F403 - the other hooks are setuptoo
 
 def _system_compiler() -> bool:
     if "CC" in os.environ:
-        return True  # if there is no such compiler, the build fails and names it
+        return True  # if the compiler in CC is missing, the build fails and names it
     return shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0]) is not None
 
 

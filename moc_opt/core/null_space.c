@@ -58,9 +58,9 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* Let d(q) = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft), z = d / |d|, and h the derivative of z^T d(q + s z)
- * by s at s = 0. If h < 0, the Newton step along z is |d| / |h|, and x_d = RATE min(|d| / |h|, LONGEST) z. If h >= 0,
- * x_d = RATE LONGEST z. */
+/* Let g_s(q) = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft), z = g_s / |g_s|, and b the derivative of z^T g_s
+ * along z, for this constant z. If b < 0, the Newton step along z is |g_s| / |b|, and
+ * x_d = RATE min(|g_s| / |b|, LONGEST) z. If b >= 0, x_d = RATE LONGEST z. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};

@@ -204,7 +204,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* The filter refuses stamps of the size 4e18. */
+/* Convert a stamp. A number beyond +-4e18 becomes +-4e18, and the filter refuses that stamp. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);

@@ -72,7 +72,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. Stop if it exceeds a limit or memory.rows is impossible. */
+/* Store the torque that acted. Stop if this torque exceeds a limit, or if memory.rows is impossible. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -121,7 +121,7 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
 
 static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_state *s)
 {
-    static const double rest[MOC_MAX_JOINTS];
+    static const double zero[MOC_MAX_JOINTS];
     const moc_law *law = c->law;
     moc_memory *memory = &s->memory;
     unsigned bytes = (unsigned)c->arm->n * sizeof *s->tau;
@@ -129,7 +129,7 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
     if (law->third_level)
         s->fault = moc_supervise(c->supervision, &s->problem, answer, memory, s->x);
     memory->share = law->third_level ? smaller(memory->share + law->fade, 1.0) : 1.0;
-    moc_add_third_level(law, c->arm->n, &s->terms, memory, law->third_level ? s->x : rest, s->tau);
+    moc_add_third_level(law, c->arm->n, &s->terms, memory, law->third_level ? s->x : zero, s->tau);
     memcpy(memory->tau, s->tau, bytes);
     if (!c->guard)
         return MOC_RUNNING;

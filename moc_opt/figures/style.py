@@ -122,14 +122,14 @@ def log_axis(
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    # Plotly would otherwise draw thousands of minor ticks.
+    # Without dtick, plotly would draw thousands of minor ticks.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
     drawn.update_layout({f"{axis}axis": {"tickangle": 0, **layout}})
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a dashed line with a text at a value of an axis."""
+    """Draw a dashed line across the figure where an axis has the value ``at``, and write ``text`` at the line's end."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
     # On a log axis, plotly places a text by the logarithm.

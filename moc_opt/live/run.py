@@ -28,8 +28,9 @@ class LiveError(ScenarioError):
 class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes each call to an exchangeable controller.
 
-    The controller in ``next`` takes over at the next tick, but not sooner than BLEND_S after the previous exchange.
-    A time t later, the torque is tau_new + d exp(-t / BLEND_S), with d = tau_old - tau_new at t = 0.
+    The controller in ``next`` waits until BLEND_S has passed since the previous exchange, and then takes over. A time
+    t after this exchange, the torque is tau_new + jump exp(-t / BLEND_S). ``jump`` is the last torque before the
+    exchange minus the new controller's first torque.
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -100,8 +101,8 @@ class LiveRun:
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
-    control = property(lambda self: self._chosen.settings, doc="Settings of `used` or, if one waits, of its successor.")
-    solver = property(lambda self: solver_of(self._chosen), doc="Solver of the controller of `control`, or `DCAC`.")
+    control = property(lambda self: self._chosen.settings, doc="Settings of the waiting controller, or else of `used`.")
+    solver = property(lambda self: solver_of(self._chosen), doc="Name of that controller's solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
         """Switch to a solver or `DCAC`. Raises a MocOptError if the solver cannot run."""

@@ -78,7 +78,7 @@ class Table:
         if column.better is None or len(finite) < 2:
             return cells
         winner = (min if column.better == "low" else max)(finite, key=lambda cell: float(cell.sort or 0.0))
-        # Values with the same text are equally good. If most are, none is marked.
+        # Values with the winner's text are best, too. If more than half of the values are best, none is marked.
         ahead = [cell for cell in competing if cell.text == winner.text]
         if len(ahead) > max(1, len(competing) / 2):
             return cells

@@ -16,7 +16,7 @@ from moc_opt.scenario import preflight
 from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
-MOST_TICKS = 1_000_000  # largest number of ticks in a run; their residuals take about 4 GB of memory
+MOST_TICKS = 1_000_000  # largest number of ticks in a run; with 7 joints, such a run takes about 3 GB of memory
 
 _POSE_STREAM = (1,)  # random stream of the start pose
 
@@ -26,7 +26,7 @@ class Layout:
     """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) joint positions at the start [rad]
-    trocar: Array  #: (3,) registered trocar at rest [m]
+    trocar: Array  #: (3,) registered trocar without breathing [m]
     registered: Trocar  #: Registered trocar as a function of time.
     reference: Reference  #: Path of the tip as a function of time.
     duration_s: float

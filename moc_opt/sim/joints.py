@@ -22,7 +22,7 @@ from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 _SAGGING_ROUNDS = 12  # iterations for the springs' deflection under the arm's weight
-_MOST_RAD_A_STEP = 1.0  # largest allowed phase of a spring's oscillation per plant step
+_MOST_RAD_A_STEP = 1.0  # one plant step may cover at most this phase of a spring's oscillation
 
 
 class Joints:

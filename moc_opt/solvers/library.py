@@ -1,4 +1,4 @@
-"""Base of the adapters of QP libraries, which docs/extending.md explains."""
+"""Base classes of the adapters of QP libraries. docs/extending.md explains how to write an adapter."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent], or None without common trials or with a baseline of 0."""
+        """Return the change against the baseline [percent]. None if no trial is common or the baseline's mean is 0."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:
