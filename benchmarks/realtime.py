@@ -290,8 +290,8 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         "99.99th percentile / longest. Brackets: 95 % interval.\n\nMissed: cycles without a command in time. Plant "
         "stalls: plant ticks that began more than a period late. Wake-up latency: how late a tick of the plant begins. "
         "Round trip: from the departure of a measurement to the arrival of its torque, over the loopback. Controller: "
-        "the time of safety filter and control law. Not clean: runs that ended early, and not at rest with an RCM "
-        "error below 2 mm."
+        "the time of safety filter and control law. Clean: a run that was completed, or that ended at rest with an "
+        "RCM error below 2 mm. Not clean: all other runs."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)

@@ -25,7 +25,9 @@ TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A counts as zero below this fraction of |pull|_inf
 A_POINT = 1e-9  # a shorter feasible interval counts as a point [rad/s]
-FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s], and the set is treated as a point
+FEASIBLE = 1e-6
+"""If no x is feasible, the bounds are widened by up to this [rad/s]. If an x then is feasible, the feasible set counts
+as a point. If none is, the problem is infeasible."""
 MOST_FACETS = 300  # if `_facets` gives more directions, ``natural_best`` uses the optimum's y instead of the best y
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a smaller singular value (share of |A|_F), A d = r is solved by iterative refinement

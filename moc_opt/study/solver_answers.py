@@ -34,7 +34,7 @@ BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later se
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]; `answer` limits the single solves
 WARM_UP = 16  # untimed solves at the start
 CONTRADICTION = 1e-13  # six rows A x = b contradict each other if b is farther than this from a consistent b [m/s]
-RIGHTLY = 0.99  # with a smaller `share_right`, a solver's times are not compared, and its verdict is at best "gaps"
+RIGHTLY = 0.99  # least `share_right` for comparing a solver's times, and for the verdicts "take" and "sound"
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 

@@ -69,7 +69,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
     if TIGHT in tables:
         values = ", ".join(f"{key} = {value:g}" for key, value in tables[TIGHT]["options"].items())
         found[TIGHT] = ({**AS_QPSOLVERS_CALLS_IT, **tables[TIGHT]}, values)
-    found[RECOMMENDED] = ({}, "five rows, a scaled cost, and these options; the others keep the library's defaults")
+    found[RECOMMENDED] = ({}, "five rows and a scaled cost; options that are not listed keep the library's defaults")
     return found
 
 

@@ -35,7 +35,7 @@ def row(trial: int, controller: str, mu: float = 1.0, tip: float = 1.0, **more: 
     return {**about, **errors, **own, **more}
 
 
-def test_findings_are_judged_by_interval_ends() -> None:
+def test_finding_is_decided_only_if_its_whole_interval_agrees() -> None:
     base = [row(k, "dcac") for k in range(40)]
     mine = [row(k, "exact", mu=1.2, tip=1.2 if k == 0 else 1.0) for k in range(40)]
 
@@ -74,7 +74,7 @@ scenario = { start = { pose = "random" }, duration_s = 1.0 }
 """
 
 
-def test_no_course_exceeds_the_bound_and_runs_hardly_exceed_their_courses(tiny: Any) -> None:
+def test_mu_of_planned_courses_is_below_the_bound_and_hardly_below_that_of_runs(tiny: Any) -> None:
     left = tiny(plan, PLANNED)
     rows = left.rows
     parts = [row["part"] for row in rows]

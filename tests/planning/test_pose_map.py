@@ -219,7 +219,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """At one pose, `largest_mu` may be up to 1 % too small, because few starts reach the maximum."""
+    """For a single pose, `largest_mu` may be 1 % too small, because few of its starts reach the maximum."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]

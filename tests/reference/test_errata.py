@@ -70,7 +70,7 @@ def test_printed_third_level_lacks_an_inverse(states):
         assert printed.shape == (7, len(Z))  # it cannot multiply a joint vector (7,)
         assert idempotence(consistent) < 1e-9
         assert idempotence(printed @ Z) > 0.5
-        # Along an eigenvector of inner, printed torque = squared eigenvalue [kg^2 m^4] * consistent torque.
+        # If Z x is an eigenvector of inner, printed torque = (its eigenvalue)^2 [kg^2 m^4] * consistent torque.
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
 
@@ -97,9 +97,9 @@ def test_deviations_grow_with_the_printed_sign(robot, states):
         assert 1e-4 < -growth.min() < 1.0 / 50.0
 
 
-# Printed: |e_N1| = d / lambda, with the RCM error d and lambda = 0.5 (setting rcm_lambda). Right: |N_d - N|.
+# Length of the wrist error. Printed: d / lambda, with the RCM error d and lambda = 0.5. Right: |N_d - N|.
 def test_true_lambda_is_not_constant(states):
-    """For a shaft off the trocar, the true lambda d / |N_d - N| equals |P - X| / L."""
+    """The true lambda d / |N_d - N| equals (depth of the tip below the trocar) / (length from wrist N to tip)."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
     for s in states:
         across = np.cross(s.tool_direction, np.eye(3)[np.argmin(np.abs(s.tool_direction))])

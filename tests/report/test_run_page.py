@@ -97,7 +97,7 @@ def test_exit_status_is_zero_only_after_completion(tmp_path, capsys, table, stat
     if ended.startswith("stopped"):
         assert found["share_of_run"] < 1.0
         assert [w["of"] for w in found["warnings"]] == ["the RCM error"]
-    # A run that lasts longer than DCAC's run is not compared with it.
+    # A run is not compared with DCAC if DCAC was stopped before it.
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 

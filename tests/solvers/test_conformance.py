@@ -29,7 +29,7 @@ class Expect:
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
-    relative: float = 1e-4  # natural residual with the best y, for the cost divided by its size (`Residuals.relative`)
+    relative: float = 1e-4  # `Residuals.relative`: natural residual with the best y, after scaling the cost to size 1
     loss: float = 1e-4  # (cost of x - optimum) / (largest cost - optimum)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # largest difference from `exact`, and from a cold start [rad/s]
@@ -233,7 +233,7 @@ def test_update_with_another_problem_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "piqp", "clarabel"} & {*NAMES}))
-def test_method_truncated_repeats_the_previous_solve_up_to_an_iteration_limit(name):
+def test_truncated_solves_the_previous_problem_again_with_an_iteration_limit(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0

@@ -105,7 +105,7 @@ def test_network_restarts_from_zero_after_overflow():
 
 
 def test_rnn_printed_applies_equation_2_to_measured_velocity():
-    """With equation (2) of Su et al. 2019, the answer is v + (-v + P(v - k dL/dv)), where P clips to the bounds."""
+    """Equation (2) of Su et al. 2019: from the measured v, x = P(v - k dL/dx). P clips to the bounds."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
