@@ -163,7 +163,8 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        # A `Waited` reference starts more slowly. So the run without the fault gets one, too, but it never waits.
+        # Even without a wait, a `Waited` reference starts more slowly than a `Reference`. So if the faulty run has a
+        # `Waited` reference, the run without the fault has one, too. The latter does not wait.
         if waits not in faultless:
             faultless[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (free := faultless[waits]) is None:

@@ -44,7 +44,8 @@ class Controller:
         solver: solver of level 3 for law "moc"; None for law "dcac".
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock while they last; None: the clock.
-        guide: gives the elbow's velocity. `regularization` and `c2` must then be above 0. None: the elbow raises mu.
+        guide: gives the joint velocities x_d that the elbow follows. The settings `regularization` (rho) and `c2` must
+            then be above 0. None: the elbow raises mu.
 
     Raises:
         ControlError: the solver or a setting does not fit the law or the robot.

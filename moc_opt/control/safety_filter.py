@@ -87,7 +87,8 @@ class SafetyFilter:
         Args:
             q, v: (n,) measured [rad], [rad/s].
             stamp: number of the control period of the measurement; None: the age is not checked.
-            applied: (n,) torque that was applied last [Nm]; None: repetitions are not checked, nor whether q follows v.
+            applied: (n,) torque that was applied last [Nm]; None: frozen or replayed measurements are not detected, and
+                q is not compared with the integral of v.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; needed with a trocar.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """
@@ -99,7 +100,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """One dict per exceeded warning level: of (quantity), level, largest (value), unit, first_s (first time)."""
+        """One dict per exceeded warning level: ``of`` (quantity), ``level``, ``largest``, ``unit`` and ``first_s``."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):

@@ -2,11 +2,11 @@
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + s M Z^T (Z M Z^T)^-1 Z tau_0,
  *   tau_0 = K_N2 (x - v) - D_N2 v.
- * r: estimated external torque. s rises from 0 to 1. F_T, F_W: see moc_tracking_torque. Jbar_T, tau_ff: add_dynamic. */
+ * r, s, Z: external, share, Z of moc_memory. F_T, F_W: see moc_tracking_torque. Jbar_T, tau_ff: see add_dynamic. */
 #include "vec.h"
 
 #define STRAIGHT 1e-3  /* add_dynamic drops one of the wrist's two rows if it is shorter than this * (the other) */
-#define SHAFT_PULL 0.1 /* moc_shaft_push is at most SHAFT_PULL / mu_shaft, the slope of SHAFT_PULL log mu_shaft [m^3] */
+#define SHAFT_PULL 0.1 /* [m^3]. moc_shaft_push is at most SHAFT_PULL / mu_shaft (mu_shaft: see moc_terms) */
 #define SHAFT_LOST 0.1 /* moc_shaft_push is largest near mu_shaft = SHAFT_LOST shaft_margin */
 #define BOX_OPENS 3.0  /* the bounds on x are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
@@ -66,7 +66,7 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and tau_ff, the term with a (Khatib 1987, eq. 51):
+/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and tau_ff, the second term (Khatib 1987, eq. 51):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.

@@ -87,7 +87,7 @@ METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step"
 {
     const plan_task task = take_task(self, c);
     int closed;
-    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* plan_follow halves a step only ten times */
+    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* a longer step could not be halved often enough */
         return PyErr_Format(PyExc_ValueError,
                             "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
     int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],

@@ -41,7 +41,7 @@ class Recording(NamedTuple):
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) control period of the measurement
+    stamp: Array  # (k,) number of the control period in which q and v were measured
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes

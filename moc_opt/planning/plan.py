@@ -150,7 +150,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
     """Raise a TaskError if a limit is out of range."""
     for name, value, least, most, words in (
         ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 and up to 1"),
-        ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared distance from wrist to tip, 0 to 1"),
+        ("shaft_margin", limits.shaft, 0.0, 1.0, "a number from 0 to 1"),
     ):
         if not is_number(value) or not least <= value <= most:
             raise TaskError(f"{name} = {value!r}: give {words}")

@@ -20,7 +20,8 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: The ``cell`` for which `Value` bounds mean mu from above. On straight curves, 1 would do.
+#: With this ``cell``, `Value` estimates an upper bound. If self-motions were straight lines, 1 would be enough.
+WHOLE_CELL = 1.1
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
@@ -143,7 +144,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
     """Lower mu with `lowered` of course.py where the shaft can hardly turn, so that courses avoid such poses."""
     if limits.shaft <= 0.0:
         return found
-    # All branches have the same shaft share, because the columns of their Jacobians differ only in sign.
+    # `shaft_shares` is the same for all branches, because the columns of their Jacobians differ only in sign.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -186,8 +187,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    No joint may move farther than its step (n,) [rad] plus the slacks of both poses. Only those bits of the branch's
-    index may change that are set in ``crossing`` (m,).
+    No joint may move farther than its step (n,) [rad] plus the slacks of both poses. A step may flip only bits of
+    the branch's index that are set in ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m) added to the value, -inf at a forbidden pose.

@@ -50,7 +50,7 @@ def solve_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """Find a pose (n,) near q with the tip at a point (3,) [m]. Raise a TaskError if none is found."""
+    """Find a pose (n,) near q with the tip at the incision ``tip`` (3,) [m]. Raise a TaskError if none is found."""
     placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(

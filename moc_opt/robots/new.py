@@ -148,11 +148,12 @@ class Shaft(NamedTuple):
 
 
 def find_shaft(text: str, last_link: str) -> Shaft:
-    """Lay the tool along the last turning axis, away from the arm.
+    """Choose the line of the tool's shaft, and the wrist on it.
 
-    If the last joint slides, the tool runs along the last link's z. The wrist is the shaft's point nearest to another
-    axis, the last turning axis that is not parallel to the shaft. If that point is ahead of the mount, the wrist is the
-    mount.
+    If the last joint turns, the shaft is parallel to its axis and points away from the arm. Of the other turning axes,
+    the last one that is not parallel to the shaft determines the wrist: the shaft's point nearest to this axis. If
+    there is no such axis, or if this point is ahead of the mount, the wrist is the mount. If the last joint slides, the
+    shaft runs along the last link's z, and the wrist is the mount.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()

@@ -166,7 +166,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
             notes.append(f"{joint.name} {change}")
         speed, effort, unit = joint.limits.get("velocity", 0.0), joint.limits.get("effort", 0.0), _UNITS[kind][1]
         if not 0.0 < speed <= FASTEST[kind]:
-            why = f"{speed:g} {unit} is no speed of an arm" if speed else "no speed limit"
+            why = f"{speed:g} {unit} is not a plausible speed limit" if speed else "no speed limit"
             notes.append(f"{joint.name}: {why}: {CHOSEN[kind]:g} {unit} is used; see the data sheet")
             speed = CHOSEN[kind]
         if not 0.0 < effort <= _STRONGEST[kind]:
@@ -193,7 +193,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
         return lower, upper, ""
     middle = 0.5 * (lower + upper)
     middle = middle if abs(middle) < 2.0 * math.pi else 0.0
-    told = f"goes from {lower:g} to {upper:g} rad, no range of a joint (are these degrees? see the data sheet)"
+    told = f"goes from {lower:g} to {upper:g} rad, not a plausible range (are these degrees? see the data sheet)"
     return middle - math.pi, middle + math.pi, f"{told}: one turn is used"
 
 

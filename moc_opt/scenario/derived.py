@@ -40,7 +40,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
     """Compute the tip and RCM errors [m] that the controller's model gives for the measured joint positions.
 
-    Return {} if the encoders measure the motors of elastic joints, because the controller then sees motor positions.
+    Return {} if the encoders measure the motors of elastic joints: ``columns`` has only the positions of the links.
     """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}

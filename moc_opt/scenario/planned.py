@@ -71,9 +71,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    ``followed`` says whether level 3 follows the course (None: as in [control]). If so, [control] gives a missing speed
-    share, and the margins if both are missing. These margins become 0 if no plan keeps them. In all other cases, a
-    missing margin is 0, and a missing speed share is 1.
+    ``followed`` says whether level 3 follows the course (None: as in [control]). If it follows, a missing speed share
+    comes from [control], otherwise it is 1. If it follows and both margins are missing, they come from [control], or
+    are 0 if no course from the start keeps those of [control]. In all other cases, a missing margin is 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

@@ -52,8 +52,8 @@ class StartTable(Settings):
     """joint positions at the start, for `pose` = 'home'. By default, they are the robot's home pose"""
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
     """place of the elbow at the start. 'given': as in the start pose; a number: share (0 to 1) of the range in which
-    the elbow can move while tip and wrist rest; 'random': a share drawn from 0.05 to 0.95. The angles that `moc-opt
-    plan` prints are no shares: to start at its best start, set `q_rad`"""
+    the elbow can move while tip and wrist rest; 'random': a share drawn from 0.05 to 0.95. `moc-opt plan` prints
+    angles, not such shares. To start at the best start that it finds, set `q_rad`"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
     """smallest allowed distance of revolute joints from their limits along the path, for `pose` = 'random'"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)

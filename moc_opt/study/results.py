@@ -86,7 +86,8 @@ class Results:
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
         """Return the values of both controllers, on the trials that both completed.
 
-        If the metric belongs to a phase, both values of a trial are multiplied by ``controller``'s ticks in the phase.
+        For a metric of a phase, trials are weighted: both values of a trial are multiplied by the number of ticks that
+        ``controller`` spent in the phase.
         """
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
@@ -125,7 +126,7 @@ class Results:
         return [row for row in self._rows if row.get("error")]
 
     def failures(self, names: Iterable[str] | None = None) -> dict[str, list[str]]:
-        """For each controller, return sentences on failed trials and on answers that the controller replaced."""
+        """For each controller, return sentences on failed trials and on answers that the supervisor replaced."""
         found = dict[str, list[str]]()
         for name in self.names() if names is None else names:
             mine, bad = list(self.where(controller=name)), list[str]()
@@ -136,8 +137,8 @@ class Results:
                 bad.append(f"{count}; the first: {raised[0]}.")
             asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
             if refused > 0.01 * asked:
-                most = ", so its means are not those of the solver" if 2 * refused > asked else ""
-                bad.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
+                most = ", so its means say little about the solver" if 2 * refused > asked else ""
+                bad.append(f"Answers of {name} that the supervisor replaced: {100 * refused / asked:.0f} %{most}.")
             found[name] = bad
         return found
 

@@ -59,7 +59,8 @@ class TestSets(Limits):
     """further sets, which are timed under the recommended settings only"""
     every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
     every_other: int = Field(4, ge=1)
-    """nlp-* and settings that are not recommended get fewer of these problems. 1: all, 2: every second one, ..."""
+    """for nlp-* and for settings that are not recommended. 1: all problems that `every` leaves, 2: every second of
+    them, ..."""
 
     @field_validator("names", "timed", "timed_too")
     @classmethod

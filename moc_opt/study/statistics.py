@@ -21,7 +21,7 @@ RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
 """In simulations, bootstrap intervals miss the true value more often than the rate 1 - `CONFIDENCE` allows. So
-the intervals are computed for a rate of `NOMINAL` (1 - `CONFIDENCE`)."""
+the intervals are computed for a smaller rate of misses: `NOMINAL` times (1 - `CONFIDENCE`)."""
 ROUNDING = 1e-9  # smaller changes count as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
 

@@ -43,7 +43,7 @@ ODD, FEW = change((-9, -3), (-2, 5)), change((-9, -3), (-9, -3), 7)
     (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
     (BETTER, FEW, too_few(7)), (BETTER, None, too_few(0)),
 ])  # fmt: skip
-def test_verdict_depends_on_dcac_with_dcacs_gains_and_on_dcac_with_mocs_gains(own, matched, wanted):
+def test_verdict_uses_dcac_with_its_own_gains_and_dcac_with_matched_gains(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
     found = [CLAIMS[0].verdict(None, change(ends, ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
     assert found == [HOLDS, FAILS, FAILS], "the whole interval of mu must lie above 7 %"
@@ -109,7 +109,7 @@ def test_stopped_procedure_reports_the_reason():
     assert row["share_of_run"] < 1.0
 
 
-def test_command_completes_the_procedure(tiny):
+def test_command_runs_every_part_of_the_study(tiny):
     left = tiny(paper, TINY)
     summary = left.summary
     found = summary["groups"]["tuned"]

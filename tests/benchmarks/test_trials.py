@@ -37,7 +37,7 @@ def test_trials_share_no_seed_start_or_registration(name: str) -> None:
     assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)
 
 
-def test_coverage_pool_shares_no_trial_with_solver_study() -> None:
+def test_study_of_interval_coverage_shares_no_trial_with_the_solver_study() -> None:
     pool = {case.seed for case in coverage.Config().cases()}
     assert len(pool) == coverage.Config().trials
     assert not {trial.seed for name in ("solvers", "solvers-full") for trial in shipped(name)} & pool

@@ -191,7 +191,7 @@ def test_safety_margin_larger_than_controller_margin_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # a margin of 0.2 rad, or none
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # equal; no level 3; margin 0
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 

@@ -82,7 +82,7 @@ def test_unusable_urdf_leaves_no_file(tmp_path: Path) -> None:
     massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
     with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
         made(tmp_path, massless)
-    with pytest.raises(RobotError, match="of 4 joints, the tool's tip and shaft need 3"):
+    with pytest.raises(RobotError, match="of 4 joints, the tool's tip and shaft need 3, and 1 turn only the tool"):
         made(tmp_path, text_of(), lock={"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0})
     with pytest.raises(RobotError, match="has 3 joints: 4 to 16 can be controlled"):
         made(tmp_path, text_of(), lock=dict.fromkeys(("joint_1", "joint_3", "joint_5", "joint_6"), 0.0))

@@ -68,7 +68,7 @@ VALUES = {
     "when": pa.array([1, 2], pa.timestamp("ns")), "decimal": pa.array([1, 2], pa.decimal128(30, 2)),
 }  # fmt: skip
 DEEP, SOUND = b"[" * 100_000, {"t_s": "<f8"}
-CLAIMS = [  # metadata of a file: types of columns (or their JSON), meta, version
+CLAIMS = [  # metadata of a file: (types of the columns, or bytes in place of their JSON; meta; version)
     *(({name: "<f8"}, b"{}", b"2") for name in VALUES if name != "t_s"), (SOUND, DEEP, b"2"), (SOUND, b"{}", b"\xff"),
     *(({"t_s": kind}, b"{}", b"2") for kind in ("|O", "<U9", "|V8", "<M8[ns]", "<c16", "|b1", "f8,i4", "junk", 3)),
     ({"text": "<U999999999"}, b"{}", b"2"), (b"[]", b"{}", b"2"), (DEEP, b"{}", b"2"), (b"\xff", b"{}", b"2"),
