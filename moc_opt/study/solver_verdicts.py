@@ -257,8 +257,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "✘ avoid: it was silently wrong, hung or crashed; or one of its runs broke off or oscillated, in a trial that "
         f"all solvers ran; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the "
         "rules.",
-        "Right: share of problems that got a verified answer or were rightly reported as infeasible. Problems refused "
-        "as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): not run or not judged.",
+        "Right: share of problems whose answer was called optimal and is verified, or that were rightly called "
+        "infeasible. Problems refused as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): not run or not judged.",
     ]
     if any(row["trials"] for row in rows):
         columns += [

@@ -288,7 +288,7 @@ for _column in ("solve_us", "tick_us"):
 
 @metric
 def deadline_misses(trace: Trace) -> float:
-    """Number of control periods whose computation missed the deadline."""
+    """Number of ticks that took longer than deadline_us (default: 2000 us)."""
     deadline = trace.meta.get("deadline_us")
     if deadline is None:
         raise MissingDataError("meta has no 'deadline_us': give the time a tick may take [us]")

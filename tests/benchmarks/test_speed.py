@@ -128,6 +128,7 @@ def test_goals_of_a_failed_part_are_not_measured(tmp_path, monkeypatch):
 
     monkeypatch.setattr(speed.Study, "run", failing)
     assert speed.main(["--quick", "--out", str(tmp_path)]) == 0
+    assert "Quick run on less data" in (tmp_path / "report.md").read_text(encoding="utf-8")
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert {goal["reached"] for goal in summary["goals"].values()} == {"not measured"}
     assert summary["not_run"]["batch"]["reason"] == "crashed: the process died"
