@@ -1,7 +1,7 @@
 """Put the results of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
-The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` becomes the answer and the first table of
-RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and its closing comment becomes section TITLE.
+The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` becomes the part of RESULTS/NAME/report.md between its title
+and its first section. The text between ``<!-- NAME: TITLE -->`` and its closing comment becomes section TITLE.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return how a report was measured, and its section ``title`` (None: answer and first table)."""
+    """Return how a report was measured, and its section ``title`` (None: the part before the first section)."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

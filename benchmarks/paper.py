@@ -53,10 +53,11 @@ RULES = (
     "An effect compares MOC with a DCAC on the same trials. It has two numbers, each with a 95 % interval: the change "
     "of the mean, 100 (mean MOC / mean DCAC - 1), and the mean of the trials' changes. A claim is confirmed against a "
     "DCAC if both intervals lie on the claimed side of its bound. It holds if it is confirmed against DCAC with MOC's "
-    "gains (MOC without its third level). It is undecided if the two numbers of this comparison, or their intervals, "
-    "lie on different sides of the bound. Otherwise, if it is confirmed against DCAC with the paper's (softer) gains, "
-    "it is said to hold only against softer gains. Fewer than eight trials decide nothing. The force at the trocar is "
-    "not judged: it follows the RCM error. Damped DCAC has MOC's gains, and its self-motion is damped."
+    "gains (MOC without its third level). It is undecided if the two numbers of this comparison lie on different sides "
+    "of the bound, or if the bound is in only one of their two intervals. Otherwise, if it is confirmed against DCAC "
+    "with the paper's (softer) gains, it is said to hold only against softer gains. Fewer than eight trials decide "
+    "nothing. The force at the trocar is not judged: it follows the RCM error. Damped DCAC has MOC's gains, and its "
+    "self-motion is damped."
 )
 
 
@@ -98,7 +99,7 @@ CLAIMS = (
 
 
 def disagree(change: Change, bound: float) -> bool:
-    """Tell whether the change's two numbers, or their intervals, lie on different sides of a bound [%]."""
+    """Tell whether the two numbers lie on different sides of a bound [%], or only one interval contains it."""
     sides = {(one.low > bound, one.high < bound) for one in change}
     return len(sides) > 1 or (change.ratio.value > bound) != (change.ratios.value > bound)
 

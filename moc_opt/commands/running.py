@@ -239,7 +239,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force, "course")
-    follows = scenario.control.follows or given.out is not None  # a course of --out must suit a run that follows it
+    follows = scenario.control.follows or given.out is not None  # --out saves a course that a later run follows
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None

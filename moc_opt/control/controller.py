@@ -254,7 +254,7 @@ def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
             session = solver.start(qp.copy())
             if callable(getattr(session, "solve", None)):
                 return session
-            reason = f"start returned a {type(session).__name__} that has no method solve: return a Session"
+            reason = f"start returned a {type(session).__name__} that has no method `solve`: return a Session"
         elif not isinstance(reason, str):
             reason = f"supports returned a {type(reason).__name__}: return None, or the reason as a str"
     except (KeyboardInterrupt, MocOptError):

@@ -35,11 +35,10 @@ class SafetyFilterSettings(Settings):
     repeat_whole_m: float = Field(0.0005, gt=0.0)
     """replaces `repeat_m` while the wrench sensor repeats its readings as well"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It is also the
-    largest number of consecutive measurements that equal the measurements a fixed time earlier (a replay)"""
+    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. The same
+    limit holds for a replay: the number of measurements in a row that equal those taken a fixed time earlier"""
     stuck_torque: float = Field(0.06, ge=0.0)
-    """assumed static friction of a joint, as a share of its torque limit. Only a torque change beyond the static
-    friction contributes to the speed of `stuck_rad_per_s`"""
+    """assumed static friction of a joint, as a share of its torque limit; `stuck_rad_per_s` tells where it is used"""
     stuck_friction: float = Field(6.0, gt=0.0)
     """assumed static friction of a joint, as a multiple of its Coulomb friction in the robot's file. The smaller one of
     this friction and that of `stuck_torque` is used. If the Coulomb friction is 0 (unknown), `stuck_torque` counts"""
@@ -47,7 +46,7 @@ class SafetyFilterSettings(Settings):
     """largest number of consecutive control periods in which one encoder repeats its position. By default, the
     scenario computes it from the encoders' noise and step"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
-    """largest number of control periods in a run (in a row or not) in which one encoder repeats position and velocity.
+    """largest total number of control periods of a run in which one encoder repeats both its position and its velocity.
     By default, it is `patience_ticks` if noise and a velocity filter rule out such repetitions, else unlimited"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
     """largest computed speed that a joint gains while its encoder repeats its reading. The computation uses the joint's

@@ -67,8 +67,8 @@ class SupervisorSettings(Settings):
     """largest natural residual of an answer reported as optimal [rad/s]. At an optimum the residual is 0. The cost is
     scaled so that the largest entry of its gradient at x = 0 is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """distance [rad/s]. An answer reported as optimal is refused if it is farther than this from the optimum, and if
-    the optimum with -`c2` instead of `c2` is nearer to it"""
+    """distance [rad/s]. An answer reported as optimal is refused if it is both farther than this from the optimum and
+    nearer to the optimum for -`c2` than to the optimum"""
     hold_ticks: int = Field(10, ge=0)
     """number of consecutive control periods in which the last good answer replaces refused answers. After these,
     x = 0 damps the elbow motion, except near joint limits (`keep_off_limits`)"""

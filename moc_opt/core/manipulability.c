@@ -53,11 +53,11 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * C u = 0 for the shaft's axis u, and pdet(C), the product of the other two eigenvalues, is the same in all axes.
- * In axes that turn with the tool, dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k.
- * Let N = I - pinv(J_T) J_T and K = J_W pinv(J_T). dmu_s/dq_k is the sum of two terms
- * mu_s (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j), where the subscript j means column j:
- * one with J = J_W and P = C^+ J_W N, the other with J = J_T and P = -K^T C^+ J_W N. */
+ * C u = 0 for the shaft's axis u. pdet(C), the product of the other two eigenvalues, is the same in every frame.
+ * In a frame that turns with the tool, dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k.
+ * Let f(J, P) = mu_s (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j), where J_j and P_j are columns j.
+ * Let N = I - pinv(J_T) J_T and K = J_W pinv(J_T).
+ * Then dmu_s/dq_k = f(J_W, C^+ J_W N) + f(J_T, -K^T C^+ J_W N). */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient)
 {

@@ -34,7 +34,7 @@ static double distance(int n, const double *p, const double *q)
 /* --- one pose --- */
 
 #define LONGEST 0.25    /* longest step [rad] */
-#define AT_REST 1e-9    /* largest entry of a resting joint in the unit tangent */
+#define AT_REST 1e-9    /* a joint rests if |its entry in the unit tangent| is at most this */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
 /* Compute the step nearest to `desired` with A step = error, by an active-set method. With damping > 0, the
@@ -255,7 +255,7 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- dynamic programming --- */
 
-/* Return the larger of `best` and max(next value - cost of the motion) over the branch's next poses within reach. */
+/* Return the largest value_next - price |motion|^2 of the branch's next poses within reach, or `best` if larger. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* branches that differ from the pose's only in `bits` */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* flip each subset of `bits` in the branch's number */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

@@ -7,12 +7,12 @@
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - q_b| > jump + v_max t. q_b is the last
  *                     accepted q, extrapolated with its v. t is the time since this q was accepted
- *   REPLAYED          more than n times, all sensors read the same as k readings ago, with the same k > 1. n is
- *                     min(repeat_reading_ticks, m) with m = repeat_whole_ticks or, without wrench noise, replayed_ticks
- *   REPEATED          (a) all q are unchanged on more than `patience` ticks in a row, and in this time the tip's
- *                     reference moved by > repeat_m, a torque changed by > repeat_torque tau_max, or WRENCH_REPEATED
- *                     holds. If the wrench is unchanged too, the limits are repeat_whole_m and repeat_whole_torque.
- *                     Or (b) each joint's q and v were both unchanged on more than repeat_reading_ticks ticks in total
+ *   REPLAYED          all sensors repeat what they read k > 1 readings ago, more than n times with the same k. n is the
+ *                     smaller of repeat_reading_ticks and (wrench has noise ? repeat_whole_ticks : replayed_ticks)
+ *   REPEATED          (a) all q are unchanged on more than `patience` ticks in a row. Since then, the tip's reference
+ *                     moved by > repeat_m, or a torque changed by > repeat_torque tau_max, or WRENCH_REPEATED holds.
+ *                     If the wrench is unchanged as long, the limits are repeat_whole_m and repeat_whole_torque. Or
+ *                     (b) each joint's q and v were both unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total

@@ -72,7 +72,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. Stop if this torque exceeds a limit, or if memory.rows is impossible. */
+/* Store the torque that acted. With a guard, stop if it exceeds a limit, or if memory.rows (of Z) is not 0 to n. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;

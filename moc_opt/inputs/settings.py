@@ -71,7 +71,9 @@ class Settings(pydantic.BaseModel):
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def change(self, **changes: Any) -> Self:
-        """Copy with some fields changed. For a table, a mapping without ``preset`` changes only the keys that it lists.
+        """Copy with some fields changed.
+
+        A mapping for a table changes only the keys that it lists. With the key ``preset``, it replaces the table.
 
         Raises:
             UnknownNameError, MocOptError: as for the constructor.

@@ -171,10 +171,10 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # From this tick on, the arm follows `now`, the course of the previous solve. The course of this solve waits
-            # in `_next` until the next solve, as if this solve took that long. If this solve finds no course, the
-            # course followed before `now` waits in `_next` instead. For an arm on a rail, returning to that course was
-            # more accurate than staying on `now`.
+            # Each course is followed one solve later, as if its solve took that long. From this tick on, the arm
+            # follows `now`, the course of the previous solve. The course of this solve waits in `_next`. If this solve
+            # finds no course, the course followed until this tick waits in `_next` instead. For an arm on a rail,
+            # returning to it was more accurate than staying on `now`.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -220,7 +220,7 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute the cost and the equality rows. With ``rows`` = 5, a row that depends on the others is omitted."""
+        """Compute cost and equality rows. With ``rows`` = 5 and a rigid tool, two rows replace the wrist's three."""
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
         for m in (rows, 6):

@@ -234,7 +234,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes in which the flag WAITING is set (``waits``) or not set."""
+        """Repeat a packet until a measurement arrives. ``waits`` tells whether its flag must be WAITING or must not."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

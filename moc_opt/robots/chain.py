@@ -58,7 +58,7 @@ class Kinematics:
     mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability.
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: Gradient of mu (n,).
     shaft: casadi.Function = field(compare=False, repr=False)
-    """(mu_shaft / |tip - wrist|^2)^2, smooth where mu_shaft is 0. `RobotState` defines mu_shaft."""
+    """(mu_shaft / |tip - wrist|^2)^2, smooth even at 0. mu_shaft: manipulability of the shaft while the tip rests."""
 
 
 @lru_cache(maxsize=64)

@@ -279,7 +279,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to link. ``named`` is the link's option or key, for errors."""
+        """Return the moving joints from base to link. ``named``: the option or key that gives the link, for errors."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]

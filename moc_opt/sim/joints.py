@@ -78,7 +78,7 @@ class Joints:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque per joint [Nm]")
         if not math.isfinite(wanted.dot(wanted)):
             raise PlantError(
-                f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; correct the controller, "
+                f"tau = {wanted.tolist()} Nm is not finite: this step did not move the arm; correct the controller, "
                 "or stop the arm when the solver fails"
             )
         self._due.append(np.minimum(np.maximum(wanted, self._low), self._high))

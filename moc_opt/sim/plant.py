@@ -152,7 +152,7 @@ class Plant:
         Raises:
             PlantError: an argument has a wrong shape or is not finite, or the arm ran away.
         """
-        rows = ", point [m] and velocity [m/s], or None for no trocar; the arm has not moved"
+        rows = ", point [m] and velocity [m/s], or None for no trocar; this step did not move the arm"
         place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
         if self._ran_away:
             raise PlantError(f"the arm ran away before t = {self.time:.4g} s: call reset first")

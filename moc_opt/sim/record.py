@@ -36,7 +36,7 @@ class TaskOffset(NamedTuple):
     """True minus model position of the two registered points, (3,) each [m]."""
 
     tip: Array = np.zeros(3)  #: The start of the path.
-    trocar: Array = np.zeros(3)  #: The trocar, without the registration error.
+    trocar: Array = np.zeros(3)  #: The trocar. The registration error is not part of this offset.
 
 
 class Record:

@@ -78,7 +78,7 @@ def check_solver(given: object, what: str = "") -> Solver:
     lacking = [part for part in ("supports", "start") if not callable(getattr(given, part, None))]
     if lacking:
         cure = "add what is missing, as docs/extending.md shows; solvers.create(name) makes a built-in solver"
-        raise SolverError(f"{what} is no solver: it has no method {' and no '.join(lacking)}: {cure}")
+        raise SolverError(f"{what} is no solver: it has no method `{'` and no `'.join(lacking)}`: {cure}")
     name = getattr(given, "name", None)
     if not is_name(name):
         has = "has no name: set its attribute `name`" if name is None else f"has the name {shown(name, 80)}"

@@ -55,7 +55,7 @@ class Comparison:
         rows: one mapping per run, with solver, seed, ended, error, asked (number of subproblems) and every metric.
         solvers: the names in the table; the first is the baseline, "dcac".
         scenario: the scenario of the trials.
-        note: remarks that the table's caption repeats, for example on a busy machine.
+        note: remarks for the table's caption, for example that the machine was busy.
         complete: False if Ctrl-C ended the comparison.
     """
 
@@ -132,7 +132,7 @@ class Comparison:
             "as optimal.": "verified" in keys,
             "p50, p99: median and 99th percentile of a trial's solve times, then the median of these over the trials.":
                 "solve_p50_us" in keys,
-            "The times of exact exclude the call from Python.": "exact" in self.solvers,
+            "The times of the solver exact do not include the call from Python.": "exact" in self.solvers,
             FRAMES: bool(keys & {*ERRORS}),
         }  # fmt: skip
         return [sentence for sentence, applies in sentences.items() if applies]

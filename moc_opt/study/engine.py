@@ -51,7 +51,7 @@ class Job:
     limit_s: float = 600.0
     alone: bool = False  #: for a job that measures times: no other job runs meanwhile
     group: str = ""
-    """Name of a group. After ``give_up`` hangs or crashes in it, `run` skips its later jobs. "": in no group."""
+    """Name of a group, or "". If ``give_up`` jobs of a group have hung or crashed, `run` skips its later jobs."""
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # the damping of MOC's level 3 if x is 0
+    if controller == DAMPED:  # as level 3 of MOC damps if the solver's velocity x is 0: K_N2 (x - v) - D_N2 v
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}

@@ -137,7 +137,7 @@ def test_session_observes_the_measured_velocity(robot):
 
 @pytest.mark.parametrize(("wrong", "why"), [
     ({"supports": "it needs regularization = 0"}, "it needs regularization = 0"), ({"supports": 3}, "returned a int"),
-    ({"error": RuntimeError("no licence")}, "no licence"), ({"error": [3]}, "returned a int that has no method solve"),
+    ({"error": RuntimeError("no licence")}, "no licence"), ({"error": [3]}, "a int that has no method `solve`"),
 ])  # fmt: skip
 def test_solver_that_cannot_run_is_named_before_first_tick(robot, wrong, why):
     with pytest.raises(ControlError, match=f"solver 'watching' cannot run in this controller: .*{why}"):

@@ -71,7 +71,7 @@ def asked(qp, Z, answer, n=7, v=None, **changes):
 
 
 def judged(row, Z, x):
-    """Return the residuals (primal, outside, natural, off, opposite) of x. shared.h defines them (moc_residuals)."""
+    """Return moc_residuals (shared.h): primal, outside, natural, off (from optimum), opposite (from that of -pull)."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
@@ -242,14 +242,14 @@ def test_residuals_along_self_motion_agree_with_numerical_search(c2):
         x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0] + rng.normal(size=len(Zs)) @ Zs
         if number % 3:
             x = np.clip(x, qp.lower, qp.upper)
-        primal, outside, relative, off, opposite_off = judged(qp.row, Zs, x)
+        primal, outside, natural, off, opposite_off = judged(qp.row, Zs, x)
         assert primal == pytest.approx(np.abs(qp.A @ x - qp.b).max(), abs=1e-12)
         assert outside == pytest.approx(max(0.0, (qp.lower - x).max(), (x - qp.upper).max()), abs=1e-12)
         wanted = along_the_line(qp, Zs, x)
-        assert relative == pytest.approx(wanted[0], rel=1e-9, abs=1e-12)
+        assert natural == pytest.approx(wanted[0], rel=1e-9, abs=1e-12)
         assert off == pytest.approx(wanted[1], rel=1e-5, abs=2e-6)
         assert opposite_off == pytest.approx(wanted[2], rel=1e-5, abs=2e-6)
-        seen.append((outside, relative, off, opposite_off))
+        seen.append((outside, natural, off, opposite_off))
     assert (np.median(seen, axis=0)[1:] > 1e-3).all()
 
 
@@ -259,7 +259,7 @@ def test_without_gradient_along_self_motion_the_residuals_are_zero(qp, Z):
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # a small gradient counts like a large one
+        if pull == 1e-9:  # a small gradient does not count as zero
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
@@ -303,8 +303,8 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
     if found.verified():
         assert mine.fault is Fault.NONE
     assert off > 0.0 or found.verified()
-    relative = judged(problem.row, Z, x)[2]
-    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # `judged` ignores joints that hardly move
+    natural = judged(problem.row, Z, x)[2]
+    assert natural <= found.relative * (1.0 + 1e-6) + 1e-6  # `judged` ignores joints that hardly move
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -442,7 +442,7 @@ def test_answer_with_a_residual_equal_to_its_limit_is_accepted(qp, Z, claim, j, 
 
 
 def test_residual_off_is_zero_with_several_self_motions_or_a_faint_gradient(qp):
-    """In these cases, `off` (the distance to the optimum) is computed only if the natural residual is large."""
+    """In these two cases, `off` (the distance to the optimum) stays 0 unless the natural residual exceeds 2e-3."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

@@ -113,7 +113,7 @@ def test_with_limited_deceleration_a_course_slows_down_before_joint_limits(robot
 
 def test_a_shaft_margin_lowers_mean_mu(robot):
     course, _ = on_grid(robot, targets := task(robot, robot.data.q_home, 40))
-    # A shaft share says how well the shaft can turn while the tip rests. Poses with a share below the margin lose mu.
+    # A shaft share tells how well the shaft can turn while the tip rests. If it is below the margin, mu is rated lower.
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
     limits, top = Limits(shaft=margin), float(course.mu.max())
     kept, _ = on_grid(robot, targets, limits)

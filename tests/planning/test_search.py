@@ -180,7 +180,7 @@ def test_search_finds_a_course_as_good_as_one_through_a_singular_pose(robot, joi
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(given[0], robot.state(given[0]).mu)
 
 
-def test_mu_of_poses_below_the_shaft_margin_is_lowered(robot, coarse):
+def test_mu_is_lowered_at_poses_with_a_shaft_share_below_the_margin(robot, coarse):
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

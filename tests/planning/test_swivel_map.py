@@ -259,7 +259,7 @@ def test_a_run_on_another_branch_is_not_compared():
     assert nowhere.end is End.UNKNOWN
 
 
-def test_an_angle_less_than_half_a_step_from_the_first_swivel_stays_there():
+def test_an_angle_less_than_half_a_step_from_the_first_swivel_is_mapped_next_to_it():
     swivel = np.linspace(-2.0, 4.0, 61)
     near = swivel[0] + np.array([-0.04, 0.04])
     np.testing.assert_allclose(swivel_map._onto(near + 2.0 * np.pi, swivel), near)

@@ -223,13 +223,13 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Answer the plant's packets `said`; return (ending, sent packets, corrections). The n-th command is n Nm."""
+    """Answer the packets `said`. Return ending, sent packets, and each set_applied_torque as (ticks so far, torque)."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
     plant.receive.side_effect = lambda until, wanted=lambda packet: True: next(filter(wanted, said), None)
     controller = Mock(spec=["start", "tick", "set_applied_torque", "columns", "note"])
-    controller.tick.side_effect = (np.full(N, k) for k in count(1.0))
+    controller.tick.side_effect = (np.full(N, k) for k in count(1.0))  # the k-th command is k Nm
     controller.set_applied_torque.side_effect = lambda tau: corrected.append((controller.tick.call_count, tau.tolist()))
     controller.columns.return_value = {"solve_us": np.full(1, np.nan)}
     end = Answering(plant, wait, controller, None, np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3)), scenario=9)
@@ -238,7 +238,7 @@ def answered(said):
 
 @pytest.mark.parametrize(("ticks", "commands", "corrected", "counts", "ended"), [
     ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
-    # The second command was lost.
+    # The second command was lost: the controller is told that the first one acted again.
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
     # A measurement is repeated.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),

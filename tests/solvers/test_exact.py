@@ -224,7 +224,7 @@ def test_violation_that_rounding_explains_is_accepted(freedoms):
 def test_answers_near_a_straight_elbow_are_feasible(robot):
     rng, one = np.random.default_rng(10248), np.ones(16)
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
-    A[:, 8:] = A[:, :8]  # first, an infeasible problem without an arm: A has equal columns
+    A[:, 8:] = A[:, :8]  # first, an infeasible problem of random numbers, without an arm
     b = A @ (np.where(rng.random(16) < 0.5, -1.0, 1.0) + rng.normal(size=16) * 10 ** rng.uniform(-4, 1))
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     unverified = np.zeros(3)

@@ -83,9 +83,9 @@ BROKEN = {
     "no such module": ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
     "exits when imported": ("raise SystemExit(3)", "SystemExit: 3"),
     "no class": ("C = [1, 2]", "'list' object is not callable"),
-    "no supports": (GOOD_PLUGIN + "class C(Good):\n supports = None", "has no method supports: add what is missing"),
+    "no supports": (GOOD_PLUGIN + "class C(Good):\n supports = None", "has no method `supports`: add what is missing"),
     "no name": (GOOD_PLUGIN + "class C(Good):\n name = None", "has no name"),
-    "makes nothing": ("def C(): return None", "has no method supports and no start"),
+    "makes nothing": ("def C(): return None", "has no method `supports` and no `start`"),
     "raises when made": (GOOD_PLUGIN + "class C(Good):\n def __init__(self): raise ValueError('boom')", "Error: boom"),
 }
 

@@ -54,7 +54,7 @@ def test_every_solver_runs_the_same_trials():
 @pytest.mark.parametrize(("solvers", "more", "error", "message"), [
     (["exakt"], {}, UnknownNameError, "did you mean 'exact'"), ([], {}, SolverError, "no solver to compare"),
     ([standing(), standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
-    ([object()], {}, SolverError, "is no solver: it has no method supports and no start"),
+    ([object()], {}, SolverError, "is no solver: it has no method `supports` and no `start`"),
     ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
     (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
     (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer from 1"),

@@ -109,7 +109,7 @@ def test_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # Most of the error is the hand's distance from the incision.
+    # Causes of the error: the hand stops short of the incision, and the robot's model misplaces the tip.
     assert found.error_m < 0.002
     trace = found.trace
     assert trace.tip_error_m[0] > 0.05
