@@ -92,7 +92,9 @@ def work(study: Study, config: Config) -> Found:
          "round_worst_us": float(run.round_us.max()), "wake_worst_us": float(run.wake_us.max())}
         for case, mine in runs.items() for k, run in enumerate(mine)
     ]  # fmt: skip
-    told = {"system": {str(case): mine[0].system for case, mine in runs.items()}, "collector": "off inside both loops"}
+    told = {
+        "system": {str(case): mine[0].system for case, mine in runs.items()},
+        "collector": "Python's garbage collector is off in the loops of plant and controller"}  # fmt: skip
     return Found(report(summary, about(config.scenario, solver=True)), summary, Results(rows), told)
 
 

@@ -2,7 +2,7 @@
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
-#define PASSES 2e-3            /* largest `natural` at which `off` and `opposite` may stay zero [rad/s] */
+#define PASSES 2e-3            /* if `natural` is at most this, moc_judge may leave `off` and `opposite` 0 [rad/s] */
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest |pull_j|) that counts as zero */
 #define IMMOBILE 1e-12         /* least divisor in least_violation, for joints that hardly move tip and wrist [m^2] */
 #define GRADIENT_ROUNDING 1e-9 /* largest |d| of steepest_descent that counts as zero */
@@ -41,7 +41,7 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* `natural`, `off` and `opposite` are measured along a line through x, parallel to ker A. If ker A has several
+/* `natural`, `off` and `opposite` (shared.h) are measured on a line through x, parallel to ker A. If ker A has several
  * dimensions, idle joints not counted, this is the line of steepest feasible descent. Its unit vector is z, s = z^T x,
  * g = z^T pull. Along z, the cost is rho s^2/2 - c2 g s + const. The optimum is s = c2 g/rho, clipped to the bounds. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
@@ -63,7 +63,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* at least rho, because pull = (rho / c2) x_d may be almost zero */
+    /* at least rho: if the elbow follows an x_d, pull is (rho / c2) x_d, which may be almost zero */
     double scale = larger(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {

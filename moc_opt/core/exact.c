@@ -29,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. Returns the largest |e^T A| / (|e| |A|_F) over
- * the rows e^T A that are left after k steps. It is at most 4 * (next pivot) / (first pivot). */
+/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. A row that is left after k steps is e^T A,
+ * with weights e. Returns the largest |e^T A| / (|e| |A|_F), which is at most 4 * (next pivot) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;

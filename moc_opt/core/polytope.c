@@ -75,7 +75,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Returns the joint whose multiplier reaches 0 first while that of joint p grows (by *step), or NONE. */
+/* Returns the joint whose multiplier reaches 0 first while that of joint p grows, or NONE. *step: growth until then. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -154,8 +154,8 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Run the proximal point iteration. At its end, the multipliers are (rho + 1 / base) t->force. The last, short steps
- * remove the rounding errors of the long ones. */
+/* Run the proximal point iteration. The last steps have length `base`, and remove the rounding errors of longer steps.
+ * Then the bounds' multipliers in the subproblem are (rho + 1 / base) t->force. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};

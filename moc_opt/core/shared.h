@@ -46,8 +46,8 @@ typedef struct {
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu or mu_shaft, and write its gradient (n,), which is zero at a singularity. *gram is moc_gram_of(n, J_T).
- * Only moc_manipulability accepts NULL as `gradient`. */
+/* Return mu or mu_shaft, and write its gradient (n,), which is zero at a singularity. *gram is moc_gram_of(n, J)
+ * or, for mu_shaft, moc_gram_of(n, A). Only moc_manipulability accepts NULL as `gradient`. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);

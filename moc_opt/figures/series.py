@@ -41,7 +41,7 @@ def time_series(
 
     Args:
         runs: for each name, a `Trace` or a dict of columns. Of a column (N, k), the norm of each row is drawn.
-        panels: columns. None means ``PANELS``, but the columns of ``TIPS`` that every run has replace `tip_error_m`.
+        panels: columns. None: ``PANELS``, with `tip_error_m` replaced by the columns of ``TIPS`` that all runs have.
 
     Raises:
         ReportError: ``panels`` is empty or not a list, a column is missing or has texts, or a run has no `t_s`.
@@ -95,7 +95,9 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series: keep its two ends and, in each of many equal stretches, both extremes, and a gap if there is one.
+    """Thin a series to its two ends and, of each of many equal stretches, the smallest and the largest value.
+
+    If a stretch has NaN, one NaN of it is kept, too.
 
     Args:
         t, y: (N,) times and values; NaN in y is a gap.

@@ -97,7 +97,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
             if not stat.S_ISREG(os.stat(target).st_mode):
                 raise OSError("a folder, pipe or device is there")
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
-        with tempfile.TemporaryFile(dir=folder):  # root cannot write to /proc, whatever the permissions
+        with tempfile.TemporaryFile(dir=folder):  # try it: permission bits do not show that root cannot write to /proc
             pass
     return target
 

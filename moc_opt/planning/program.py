@@ -60,7 +60,7 @@ class Program:
 
         Args:
             mu: mu_0, which scales the objective [m^3].
-            top: largest mu, which scales the penalty in mu [m^3]. If 0, mu_0 is used.
+            top: factor of the penalty that is subtracted from mu [m^3]: the largest mu of a course. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
             horizon: use SQP instead of ipopt, and do not penalize the deceleration to rest after the last time.

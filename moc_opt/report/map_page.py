@@ -67,9 +67,9 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
-            f"With tip and shaft fixed, this arm has {len(found.held) + 1} independent motions. The map shows only the "
-            f"motion with {listed(found.held)} at {'their positions' if len(found.held) > 1 else 'its position'} in "
-            "the longest run. Other poses may have a larger mu."
+            f"With tip and shaft fixed, this arm has {len(found.held) + 1} independent motions. The map shows only "
+            f"poses with {listed(found.held)} at the {'positions' if len(found.held) > 1 else 'position'} that the "
+            "longest run has at the same time. Other poses may have a larger mu."
         )
     times, swivels = found.mu.shape
     page.figure(

@@ -100,7 +100,8 @@ _DEAD = 600.0  #: A decaying filter output needs more than this many time consta
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
     """Return whether an encoder never repeats its position and its velocity together.
 
-    While the position repeats, the filtered velocity decays.
+    While the position repeats, the filtered velocity decays and so does not repeat, until it underflows to 0. The
+    position must change before that.
     """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

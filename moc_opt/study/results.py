@@ -134,7 +134,7 @@ class Results:
                 bad.append(f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}.")
             if raised := [row["raised"] for row in mine if row.get("raised")]:
                 count = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
-                bad.append(f"{count}; the first: {raised[0]}.")
+                bad.append(f"{count}; in the first of them: {raised[0]}.")
             asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
             if refused > 0.01 * asked:
                 most = ", so its means say little about the solver" if 2 * refused > asked else ""

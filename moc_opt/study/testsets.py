@@ -47,7 +47,7 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """The problems (k, 11 n + 10) by which answers are judged, made by `straightened`."""
+        """The problems changed by `straightened`, (k, 11 n + 10). Residuals of answers are computed with these."""
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
@@ -85,7 +85,7 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
     """Return the subproblem with the wrist's reference velocity along the shaft set to the tip's."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
-    b[3:] += five_row_gap(qp, b)
+    b[3:] += five_row_gap(qp, b)  # the tool is rigid: no x meets velocities that differ along the shaft
     return changed(qp, v_tip=b[:3], v_wrist=b[3:], q=None)
 
 

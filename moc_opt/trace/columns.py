@@ -70,7 +70,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "primal": Column("rad/s, m/s", "(N,)", "violation of A x = b or of a bound on x; NaN without a subproblem"),
         "natural": Column("rad/s", "(N,)", "KKT residual (natural map) of x and `dual`; NaN without a subproblem"),
         "natural_best": Column("rad/s", "(N,)", "the same residual with the best multipliers for x instead of `dual`"),
-        "relative": Column("rad/s", "(N,)", "natural_best after dividing the cost by its slope on the feasible plane"),
+        "relative": Column("rad/s", "(N,)", "natural_best after the cost is divided by its slope (see `Residuals`)"),
         "distance": Column("rad/s", "(N,)", "largest difference of an entry of x from the nearest optimum"),
         "loss": Column("1", "(N,)", "(cost - smallest cost) / (largest - smallest cost) of the feasible x"),
         "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN if unknown"),

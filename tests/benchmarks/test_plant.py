@@ -51,5 +51,5 @@ def test_registering_again_restores_accuracy(tiny):
     ("values", "at"),
     [((0.0, 10.0, 20.0), 0.5), ((6.0, 7.0, 8.0), 0.0), ((0.0, 9.0, 4.0), None), ((9.0, 1.0, 9.0), 1.5)],
 )
-def test_values_beyond_the_crossing_exceed_the_limit(values, at):
+def test_crossing_is_the_size_above_which_all_values_exceed_the_limit(values, at):
     assert plant.crossing((0.0, 1.0, 2.0), values, 5.0) == at

@@ -70,7 +70,7 @@ def moved_too_far(level, name="motion_rad", v=0.0):
 
 
 def frozen(level, name, wrench, applied, tip, **others):
-    """Whether the arm stops at the fourth equal reading, if a torque or the tip's reference changed before it."""
+    """Whether a fourth equal reading stops the arm, if the torque or the tip's reference changed after the third."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -163,7 +163,7 @@ def test_only_a_value_above_its_threshold_is_noticed(noticed, level, more):
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
-    """In case 3, joint 1's last torque is zero, so no residual can oppose it. The drives carry the weight, 0.5 Nm."""
+    """In case 3, joint 1's last torque is 0, so no residual can oppose it, and the drives carry the weight, 0.5 Nm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -177,7 +177,7 @@ def test_motion_at_constant_speed_needs_no_torque():
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
 
 
-def test_lag_is_allowed_only_shortly_after_fast_motion():
+def test_velocities_may_lag_behind_positions_only_shortly_after_fast_motion():
     for still, reason in ((1, "running"), (12, "velocities")):
         guard = begun(motion_s=4.0 * T, motion_rad=0.0, motion_lag_s=1.0)
         assert [read(guard, v=float(k == 0)) for k in range(still + 1)] == ["running"] * (still + 1)

@@ -39,7 +39,7 @@ def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_p
     found = ages([min(last, max(0, k - late)) for k in range(late + last + patience + 2)], patience)
     assert found[: late + 1] == [FRESH] + [REPEAT] * late
     assert found[late + 1 : late + last + 1] == [FRESH] * last
-    ordinary = late if last > 0 else 0  # the delay is known only after a new packet
+    ordinary = late if last > 0 else 0  # without a new packet, the safety filter assumes delay 0
     first = last + ordinary + patience + 1
     assert OLD not in found[:first]
     if first < len(found):

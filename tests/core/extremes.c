@@ -1,7 +1,7 @@
 /* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`), and prints a digest of all
  * results. Unused array entries (beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
  *
- * Usage: extremes [courses] [seed]. One course of the test draws random settings and runs all checks. */
+ * Usage: extremes [rounds] [seed]. Each round draws random settings and runs all checks. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -736,21 +736,21 @@ static int contract(void)
 
 int main(int count, char **words)
 {
-    long courses = count > 1 ? strtol(words[1], NULL, 10) : 10000;
+    long rounds = count > 1 ? strtol(words[1], NULL, 10) : 10000;
     seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1; /* the generator needs a nonzero seed */
 
-    for (long k = 0; k < courses; k++) {
+    for (long k = 0; k < rounds; k++) {
         int sound = 1;
         for (int i = 0; i < 20; i++)
             sound &= subproblem();
         filter();
         grain = 0.0;
         if (!sound || !algebra() || !contract() || !run_controller()) {
-            printf("a check failed in course %ld: run %ld courses with the same seed to see it again\n", k + 1, k + 1);
+            printf("a check failed in round %ld: run %ld rounds with the same seed to see it again\n", k + 1, k + 1);
             return 1;
         }
     }
-    printf("%ld courses of 29 ticks, digest %016llx\n", courses, (unsigned long long)digest);
+    printf("%ld rounds of 29 ticks, digest %016llx\n", rounds, (unsigned long long)digest);
     for (int k = 0; k < MOC_STOPS; k++)
         printf("  %s: %ld\n", moc_reason((moc_stop)k), reasons[k]);
     for (int k = 0; k < MOC_FAULTS; k++)

@@ -208,8 +208,8 @@ def test_if_the_cost_is_constant_every_feasible_answer_is_verified(n, unit):
         assert problem.residuals(best).verified()
 
 
-def test_relative_residual_divides_the_cost_by_its_size_along_the_self_motion():
-    """The size is the larger of c2 |Z Z^T grad_mu|_inf and the regularization. Z Z^T grad_mu is small here."""
+def test_relative_residual_is_the_residual_of_the_scaled_cost():
+    """The cost is divided by the larger of c2 |Z Z^T grad_mu|_inf and the regularization. Z Z^T grad_mu is small."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]

@@ -66,10 +66,10 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
 
 
 def feedforward(s, tip_ref, trocar):
-    """J_T^T F_T + B^T F_W, the torque for the accelerations of tip and wrist.
+    """Return the torque J_T^T F_T + B^T F_W with A M^-1 A^T [F_T; F_W] = [a_T; a_W] and A = [J_T; B].
 
-    B (2, n) is J_W projected on two directions across the shaft. Lambda is the tip's inertia.
-    The wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T.
+    B (2, n) is J_W projected on two directions across the shaft. a_T and a_W are the desired accelerations of tip and
+    wrist minus the drifts. F_W leaves out a direction in which the wrist hardly moves while the tip rests.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)

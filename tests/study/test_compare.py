@@ -83,12 +83,12 @@ def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, 
     bad = standing("bad")
     bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
-    assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {message}" in caption
+    assert f"malformed answers of bad: 2; in the first of them: 10 ticks, first at 0.000 s: {message}" in caption
     assert "Answers of bad that the supervisor replaced: 100 %, so its means say little about the solver." in caption
     assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the trace names the solver that ran"
 
 
-def test_first_trial_must_have_a_start(monkeypatch):
+def test_missing_start_pose_fails_a_trial_but_raises_in_the_first_trial(monkeypatch):
     def only_even(trial):
         if trial.seed % 2:
             raise ScenarioError("no start")

@@ -63,7 +63,7 @@ def test_stored_result_is_ignored_after_a_hang_in_its_group(tmp_path):
 
 def test_time_limit_applies_to_each_step_of_a_job():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
-    assert found[0] == 3, "the limit is processor time: a sleep may take five times as long"
+    assert found[0] == 3, "the limit is processor time; a sleeping step is stopped after five times the limit"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 

@@ -95,8 +95,8 @@ def test_reported_status_is_checked(feasible, status, expected):
 
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
-def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
-    """With `rows` = 5, there are no contradictory rows, so refusing is wrong."""
+def test_refusing_six_inconsistent_equations_is_neither_right_nor_wrong(rows, refused):
+    """With `rows` = 5, the solver gets five equations that do not contradict each other, so refusing is wrong."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan

@@ -7,7 +7,7 @@ from moc_opt.study import statistics
 from moc_opt.study.statistics import StatisticsError, mean, relative_change, relative_changes, share
 
 
-def test_difference_of_changes_keeps_the_values_of_a_trial_together():
+def test_difference_of_changes_resamples_whole_trials():
     """If each change is the same in all trials, the interval of their difference has no width."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
@@ -28,7 +28,7 @@ def test_interval_of_the_mean_covers_the_truth(count, skewed, least):
     assert least <= np.mean([one.low <= truth <= one.high for one in found]) <= 0.99
 
 
-def test_change_is_undecided_if_its_two_averages_differ_in_sign():
+def test_change_is_undecided_if_change_of_means_and_mean_change_differ_in_sign():
     control = np.array([0.1, 3.0, 3.1, 3.2] * 4)
     change = relative_changes([0.4, 2.0, 2.1, 2.2] * 4, control)
     assert change.ratio.high < 0.0 < change.ratios.value

@@ -194,7 +194,7 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
     "a_max": ("a_max", lambda x: duration(build("circle"), 0.1, x), NUMBERS),
     "period_s": ("period_s", lambda x: WaitingReference(Reference(LINE, 0.1, 0.3), x), NUMBERS),
     "flags": ("flags", WaitingReference(Reference(LINE, 0.1, 0.3), 0.002).play, [np.ones(5), [[True]]]),
-    "pictures": ("rising", lambda x: flags_at([0.0], x, [True, True]), [[0.2, 0.1], [0.1]]),
+    "seen_times": ("rising", lambda x: flags_at([0.0], x, [True, True]), [[0.2, 0.1], [0.1]]),
     "point": ("point", Trocar, [(0.0, 1.0), (0.0, math.nan, 0.0)]),
     "breathing amplitude": ("breathing_amplitude_m", lambda x: Trocar(START, x), [-0.01, math.inf]),
     "breathing period": ("breathing_period_s", lambda x: Trocar(START, 0.01, x), NUMBERS),

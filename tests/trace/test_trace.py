@@ -82,7 +82,7 @@ def test_columns_are_attributes_and_length_is_ticks(trace):
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
     assert Trace({"text": np.array(["a", "bc"], dtype=object)}).text.dtype == "<U2"
-    assert not any(map(hasattr, (object.__new__(Trace), trace), ("meta", "limited")))  # a copy begins as such an object
+    assert not any(map(hasattr, (object.__new__(Trace), trace), ("meta", "limited")))  # slot not set, no such column
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads

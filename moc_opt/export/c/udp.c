@@ -249,7 +249,7 @@ int main(int argc, char **argv)
     if (!ask(WIRE_KIND_HELLO, 1, &m))
         return fail("no plant answers there", "start `moc-opt plant` with the same robot and key");
     if (m.head.scenario != WIRE_SCENARIO)
-        return fail("the plant runs another scenario", "export this program from that one");
+        return fail("the plant runs another scenario", "export moc_udp again, from the plant's scenario");
     wire.session = m.head.session;
     moc_measurement first = measured(&m);
     if (moc_start(&moc_constants, &first, &state) != MOC_RUNNING)
