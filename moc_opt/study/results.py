@@ -137,7 +137,7 @@ class Results:
             asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
             if refused > 0.01 * asked:
                 most = ", so its means are not those of the solver" if 2 * refused > asked else ""
-                bad.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
+                bad.append(f"The controller replaced {100 * refused / asked:.0f} % of the answers of {name}{most}.")
             found[name] = bad
         return found
 

@@ -84,7 +84,7 @@ def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, 
     bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
     assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {message}" in caption
-    assert "Answers of bad that the controller replaced: 100 %, so its means are not those of the solver." in caption
+    assert "The controller replaced 100 % of the answers of bad, so its means are not those of the solver." in caption
     assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the trace names the solver that ran"
 
 
