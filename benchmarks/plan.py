@@ -49,7 +49,7 @@ IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 class Config(StudyConfig):
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seed: int = Field(4000, ge=0, description="the limits of a course (docs/planning.md) were chosen on other seeds")
+    seed: int = Field(4000, ge=0, description="a course's limits (speeds, margins) were chosen on other seeds")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="changes of [control] for each closed loop, by name")
     halvings: int = Field(3, ge=0, description="starts per robot that are planned again at half the grid spacing")
@@ -186,8 +186,9 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
                                   lambda s: s["loops"]["planned"]["gap_percent_max"], section=IN_THE_LOOP)  # fmt: skip
     for name in ("planned", "receding"):
         for words, error in ERRORS.items():
-            found[f"{name} {words}"] = Goal(f"change of {words} error from local ({name})", "%", MOST_CHANGE_PERCENT,
-                                            interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
+            found[f"{name} {words}"] = Goal(f"change of the {words} error relative to local ({name})", "%",
+                                            MOST_CHANGE_PERCENT, interval(name, change_name(error)),
+                                            section=IN_THE_LOOP)  # fmt: skip
     return found | {
         "replan": Goal("p99 of the replanning time in the worst run (receding)", "ms", MOST_REPLAN_MS,
                        lambda s: s["loops"]["receding"]["replan_ms_p99_max"], section=IN_THE_LOOP),
@@ -236,7 +237,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 arm, *columns("trials", "executable", "climbed_whole"),
                 Column("from_start", "mu, best from start", unit="m^3", format=".4f"),
                 Column("best", "mu, best over all", unit="m^3", format=".4f"),
-                Column("climb_gap_percent", "ideal climb below best from start", unit="%", format=".2f"),
+                Column("climb_gap_percent", "ideal local climb: mu below best from start", unit="%", format=".2f"),
                 Column("climb_gap_percent_max", "largest", unit="%", format=".1f"),
                 Column("start_loss_percent", "best from start below best over all", unit="%", format=".2f"),
                 Column("start_loss_percent_max", "largest", unit="%", format=".1f")], by_robot),
@@ -244,7 +245,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 arm, Column("certified", "local optima", format="d"),
                 Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
                 Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),
-                Column("unbounded", "starts with a course above the bound", format="d"),
+                Column("unbounded", "trials whose best course exceeds the bound", format="d"),
                 Column("refined_percent", "gain by refinement", unit="%", format=".3f"),
                 Column("halving_percent_abs_max", "halving the grid", unit="%", format=".3f"),
                 Column("map_s", "map", unit="s", format=".2f"), Column("search_s", "search", unit="s", format=".2f"),

@@ -285,7 +285,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _at(size: float | None, unit: str) -> str:
-    return "the largest size tried" if size is None else f"{size:.2g} {unit}"
+    return "a size above all tried sizes" if size is None else f"{size:.2g} {unit}"
 
 
 def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]:

@@ -144,7 +144,7 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     arm_column = Column("robot", "arm")
     sections = [
         Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled errors: means over "
-                f"ticks at which the elbow travels in no run of a trial. {FRAMES}", [Table("Every arm and controller", [
+                f"ticks at which the elbow rests in all runs of a trial. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [

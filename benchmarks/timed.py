@@ -314,7 +314,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the runs, per tick. The limit is the time of MuJoCo's steps plus that of `moc_step` in C."""
+    """Return medians over the runs. The limit is the shortest time of a tick: MuJoCo's steps plus `moc_step` in C."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:

@@ -126,7 +126,8 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def located(error: BaseException) -> str:
-    """Return `describe(error)` and " (mine.py, line 12)": the first file outside moc_opt, and its innermost line."""
+    """Return `describe(error)` and, if code outside moc_opt was called, the place in it: " (mine.py, line 12)"."""
+    # The file is the outermost one of the traceback outside moc_opt. The line is the innermost one in this file.
     lines = {
         frame.f_code.co_filename: line for frame, line in walk_tb(error.__traceback__)
         if str(frame.f_globals.get("__name__")).partition(".")[0] != "moc_opt"

@@ -65,7 +65,7 @@ def wrong_corners(
         x, Z, g = size * np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0], kernel(qp), qp.grad_mu
         along = Z @ (Z.T @ g)
         across = g - along
-        if tilt < 1.0:  # scale g's part in ker A to `tilt` times the norm of g's part across ker A
+        if tilt < 1.0:  # |part of g in ker A| becomes `tilt` times |part of g orthogonal to ker A|
             g = across / np.linalg.norm(across) + tilt * along / np.linalg.norm(along)
         rho = regularization * qp.c2 * np.linalg.norm(Z.T @ g) / size
         parts = {name: size * getattr(qp, name) for name in ("v_tip", "v_wrist", "lower", "upper")}

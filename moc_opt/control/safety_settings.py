@@ -102,8 +102,8 @@ class SafetyFilterSettings(Settings):
     stop_yield_N: Level = 8.0
     """trocar force above which the brakes open in a stop. They close again at half of this force"""
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)
-    """longest time for which the brakes stay open in a stop. After this time they close, and open again only if the
-    trocar force rises by another `stop_yield_N`"""
+    """longest time for which the brakes stay open in a stop. Brakes that close after this time open again only if
+    the trocar force rises by `stop_yield_N` above its smallest value since then"""
     stop_s: float = Field(0.5, gt=0.0)
     """shortest time of a stop. After it, the stop ends when the arm rests, at the latest after 4 times `stop_s`"""
 

@@ -57,8 +57,8 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """control law. 'dcac': levels 1 and 2 (tip and RCM); 'moc': also level 3, which raises the manipulability"""
     gains: str | None = "default"
-    """name of a table [gains.NAME] in the robot's file. A gain from `K_X` to `D_N2` that is left out is read from this
-    table. '': the table with the name of `law`"""
+    """name of a table [gains.NAME] in the robot's file. It gives those of `K_X`, `D_X`, `K_N`, `D_N`,
+    `K_N2` and `D_N2` that are not set here. '': the table with the name of `law`"""
     K_X: Positive | None = Field(None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(None, description="wrist stiffness [N/m]")

@@ -76,7 +76,7 @@ typedef struct {
 typedef struct {
     double row[6][MOC_MAX_JOINTS], pivot; /* pivot of the last step [m] */
     double inverse[6];         /* 1 / (pivot of step k) */
-    double scale[6][6];        /* step k subtracted scale[k][i] * (row k) from row i; scale[k][k] is -1 */
+    double scale[6][6];        /* step k: row k = 0, then every row i -= scale[k][i] * (new row k); scale[k][k] = -1 */
     int from[6];               /* row swapped with row k before step k */
     int joint[MOC_MAX_JOINTS]; /* in this order: pivot joints, free joints that move tip or wrist, idle joints */
     int rank, freedoms;        /* freedoms: null-space dimension without idle joints */
@@ -170,7 +170,7 @@ typedef struct {
     double box_limit;       /* with MOC_CLAIMS_NOTHING: largest |A x - b| [m/s] and bound violation [rad/s] */
     double primal_limit;    /* the same with MOC_CLAIMS_OPTIMUM */
     double relative_limit;  /* largest moc_residuals.natural (shared.h) of a claimed optimum */
-    double opposite_limit;  /* the same for .off, if .opposite is below .off [rad/s] */
+    double opposite_limit;  /* largest distance from the optimum, if the optimum with -pull is nearer to x [rad/s] */
     int hold_ticks;         /* ticks for which moc_memory.good replaces refused answers */
     int keep_off_limits;    /* after hold_ticks: a self-motion that keeps joints off their limits (1), or x = 0 (0) */
     moc_fallback fallback;  /* for an infeasible subproblem; MOC_DAMPING: x = 0 */
@@ -205,7 +205,7 @@ typedef struct {
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
 /* Settings of the safety filter. An infinite limit turns its check off. The table at the top of safety_filter.c defines
- * the reasons to stop (in capitals). r: torque that a joint's motion implies minus applied torque. */
+ * the reasons to stop (in capitals). r: (torque that a joint's motion implies) - (applied torque). */
 typedef struct {
     double period;                                      /* [s] */
     int patience;                                       /* ticks in a row that a check may fail */
@@ -234,10 +234,10 @@ typedef struct {
     double repeat_m;                                    /* REPEATED: largest motion of the tip's reference [m] */
     double repeat_torque;                               /* REPEATED: largest change of a torque / tau_max */
     double repeat_whole_m, repeat_whole_torque;         /* the same two, if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* most repeats: WRENCH_REPEATED, REPLAYED (noisy wrench) */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED (noisy wrench): most repeats */
     double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
-    double repeat_reading_ticks;                        /* most ticks with unchanged q and v; most repeats: LAGGING */
-    double replayed_ticks;                              /* most repeats: REPLAYED (wrench without noise) */
+    double repeat_reading_ticks;                        /* REPEATED, ONE_REPEATED, REPLAYED, LAGGING: most repeats */
+    double replayed_ticks;                              /* REPLAYED (wrench without noise): most repeats */
     double stuck_speed;                                 /* STUCK: largest moc_joint_watch.unseen_speed [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */

@@ -37,7 +37,7 @@ enum { MOST_ARGUMENTS = 14 };
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* length K; -1 until an array sets it */
-    int made, end;                        /* the arguments made, ..., end - 1 are arrays of kind MADE */
+    int made, end;                        /* argument i is an array of kind MADE if made <= i < end */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];

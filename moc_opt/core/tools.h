@@ -43,17 +43,17 @@ double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: value (branches, m) = gain + max(value_next - price |motion|^2) over the next poses.
  *
- * q (branches, m, n) has the poses, NaN where there is none. q_next (branches, next, n) has the next poses, sorted in
- * each branch by joint `sorted`, with NaN last. gain (branches, m) is a pose's reward or -inf. Joint j moves by at most
- * step[j] plus the slacks of both poses. Pose k (of m) may change to a branch whose number differs from its own only in
- * bits that are set in crossing[k]. */
+ * q (branches, m, n): poses, NaN where there is none. q_next (branches, next, n): next poses, sorted in each branch by
+ * joint `sorted`, with NaN last. gain (branches, m): a pose's reward or -inf. Joint j moves by at most step[j] plus the
+ * slacks of both poses, in slack (like q) and slack_next (like q_next). The bit mask crossing[k] belongs to the k-th
+ * pose of every branch: a change from branch a to b is allowed if a ^ b has only bits of the mask. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
     const double *step, *crossing; /* crossing: integers */
     double price;           /* cost of squared motion [1/rad^2] */
-    double reach;           /* step plus largest slack_next of joint `sorted` [rad] */
+    double reach;           /* joint `sorted`: step plus the largest slack_next [rad] */
 } plan_stage;
 
 void plan_advance(const plan_stage *stage, double *value);

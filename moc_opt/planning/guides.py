@@ -25,7 +25,9 @@ from moc_opt.trace.trace import Trace
 COURSE_SHARE = 0.25  #: Courses try to keep this share of ``[control] shaft_margin``.
 V_PERIOD_S = 0.1  #: Time step of the pose map.
 TARGETS_PER_TIME = 20  #: Targets per time step of the map.
-HALF_CELL = 0.5  #: First ``cell`` (slack of steps) of `Value` to be tried. 0 would lose courses near singular poses.
+HALF_CELL = 0.5
+"""First value tried for `Value`'s ``cell``, by which steps may exceed their limits. With 0, courses near singular poses
+would be lost."""
 SPEEDS = (1.0, 0.7, 0.4)
 """Factors on ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01

@@ -63,7 +63,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return for each swivel (m,) the bits of the branch's index that a step (n,) [rad] at time k can flip."""
+        """Return a bit mask for each swivel (m,): the bits of the branch index that a step (n,) at time k can flip."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):

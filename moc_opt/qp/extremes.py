@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # with more choices of dim(ker A) active bounds, the largest cost is only searched locally
+MOST_CORNERS = 10_000  # with more corners to try (dim(ker A) active bounds), the largest cost is searched only locally
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # limits on proximal steps to the smallest cost, and on steps per joint to the largest cost
+ROUNDS, STEPS = 200, 20  # at most ROUNDS proximal steps to the smallest cost, and STEPS * n steps to the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest one counts as zero

@@ -32,7 +32,7 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"  #: Environment variable with the key.
 SHORTEST, LONGEST = 16, 32  #: Bounds on a key's length [bytes].
 TAG_BYTES = 16
-BACKLOG = 256  #: After its time limit, `receive` reads waiting packets until it has read this many in all.
+BACKLOG = 256  #: After its time limit, `receive` reads waiting packets only until it has read this many since its call.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """What plant and controller each count: packets used (received), ticks without a packet in time (missed), late or
 repeated packets (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
@@ -193,7 +193,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and any of them can move the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or use 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # udp.c does not strip
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # udp.c does not strip the variable
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "

@@ -137,8 +137,8 @@ class Results:
                 bad.append(f"{count}; in the first of them: {raised[0]}.")
             asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
             if refused > 0.01 * asked:
-                most = ", so its means say little about the solver" if 2 * refused > asked else ""
-                bad.append(f"Answers of {name} that the supervisor replaced: {100 * refused / asked:.0f} %{most}.")
+                most = f", so the means say little about {name}" if 2 * refused > asked else ""
+                bad.append(f"The supervisor replaced {100 * refused / asked:.0f} % of the answers of {name}{most}.")
             found[name] = bad
         return found
 

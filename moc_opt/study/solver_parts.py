@@ -46,7 +46,8 @@ FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
     "primal": "largest constraint violation of all answers",
     "natural": "largest natural residual (0 at an optimum) with the solver's own duals",
-    "relative": "largest natural residual with the best duals, after dividing the cost by the size of its gradient",
+    "relative": "largest natural residual, with the cost divided by the size of its gradient and with the duals that "
+    "make the residual smallest",
     "loss": "(cost of the worst answer - smallest cost) / (largest - smallest cost) over the feasible x",
 }  # fmt: skip
 TIMES = {

@@ -42,8 +42,8 @@ FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
     "Inconsistent: the six equality rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s. With only five "
-    "independent rows, the problem has a certified optimum. To the six rows, the answer 'infeasible' is true but "
-    "useless. It is counted neither as right nor as wrong."
+    "independent rows, the problem has a certified optimum. For the problem with all six rows, the answer "
+    "'infeasible' is true but useless. It is counted neither as right nor as wrong."
 )
 
 
@@ -198,8 +198,8 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     if row["tip_change"] and shared < trials:
         shaken += f" ({closed.get('oscillated_in_common', 0) or 'none'} of the first {shared})" if shaken else ""
         model, registered = row["tip_change"].split("/")
-        common = f" In the first {shared} trials, which the other solvers ran too, the model error of the tip changes "
-        common += f"by {model} %, and the registered error by {registered} %."
+        common = f" In the first {shared} trials, which the other solvers ran too, the tip error changes by {model} % "
+        common += f"by the robot's kinematic model, and by {registered} % in the registered frame."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
         f"changes by {mu}. In the frame registered at the start, the tip error changes by {tip} and the RCM error by "
@@ -253,7 +253,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         f"{100 * RIGHTLY:g} % right, but never silently wrong. ≠ other: it solves a nonlinear version of the problem, "
         "so its answers are not judged.",
         "≈ near: it never calls an answer optimal, or a mean in closed loop is surely worse than with ★ by more than "
-        "its tolerance. Surely: both 95 % intervals of the change lie beyond the tolerance.",
+        "its tolerance. Surely: the 95 % intervals of both estimates of the change lie beyond the tolerance.",
         "✘ avoid: it was silently wrong, hung or crashed; or one of its runs broke off or oscillated, in a trial that "
         f"all solvers ran; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the "
         "rules.",
@@ -266,8 +266,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: the closed-loop mean with the largest loss relative to ★, in multiples of its tolerance. "
-            f"Tolerances: mean mu {100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors "
+            "Worst loss: change relative to ★ of the closed-loop mean whose loss is the largest multiple of its "
+            f"tolerance. Tolerances: mean mu {100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors "
             f"{100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the torque's rate of change) "
             f"{100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: no mean is worse by more than its "
             "tolerance. Undecided: one may be.",

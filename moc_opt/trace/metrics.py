@@ -122,7 +122,8 @@ def evaluate(trace: Trace, baseline: Trace | None = None) -> tuple[dict[str, flo
         except Exception as error:
             why = f"metric {name!r} cannot be computed ({describe(error)})"
             if function.function.__module__ != __name__:
-                warnings.warn(f"{why} by {function.function.__module__}: left out", UserWarning, stacklevel=3)
+                warnings.warn(f"{why}: the summary leaves it out. It is defined in {function.function.__module__}",
+                              UserWarning, stacklevel=3)  # fmt: skip
             elif isinstance(error, ArithmeticError):
                 raise TraceError(f"{why}: a column that the metric reads holds zeros or impossible numbers") from error
             else:

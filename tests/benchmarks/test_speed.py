@@ -67,7 +67,7 @@ def test_recorded_problems_are_those_of_the_run():
     np.testing.assert_array_equal([given[2][0] for given in inputs], trace.tip_ref_m)
 
 
-def test_python_over_limit_compares_times_of_the_same_run():
+def test_python_over_limit_is_a_ratio_of_times_of_the_same_run():
     rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
     found = timed.limit(rows, 1.0)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
@@ -75,7 +75,7 @@ def test_python_over_limit_compares_times_of_the_same_run():
 
 
 def test_each_period_is_simulated_from_its_recorded_state():
-    """The simulation applies the forces of the previous tick, so its states only approximate the recorded ones."""
+    """`own_steps` simulates a period with the forces of the previous tick, so the result only approximates the run."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200

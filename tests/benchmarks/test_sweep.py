@@ -119,4 +119,4 @@ def test_caption_explains_the_mark_of_a_solver_whose_answers_were_replaced() -> 
     rows = Results([row, {**row, "controller": "b", "faults": 0}])
     table = sweep.report({"all": sweep.grouped(rows)}, rows, {}, config()).table
     assert [getattr(shown["group"], "symbol", "") for shown in table.rows] == ["!", ""]
-    assert table.caption.startswith("!: Answers of a that the supervisor replaced: 100 %, so its means say little")
+    assert table.caption.startswith("!: The supervisor replaced 100 % of the answers of a, so the means say little")

@@ -98,7 +98,7 @@ def test_the_arm_follows_its_course_in_a_run():
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
 
-def test_a_start_inside_the_limit_margin_costs_no_mu():
+def test_a_start_just_inside_the_limit_margin_has_as_much_mu_as_a_start_deeper_inside():
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
         made = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
@@ -237,7 +237,7 @@ def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near(monkeypatch)
     near, far = (planner.plan(on_course + angle * off, 0.1, last).q_rad[0] for angle in (0.01, 0.1))
     np.testing.assert_array_equal([near, far], [on_course, on_course + 0.1 * off])
     path, solves = planner._value.map.targets, planner.told["solves"]
-    for share, more in ((0.49, 0), (0.51, 1)):  # nothing is solved less than half a target period before the path's end
+    for share, more in ((0.49, 0), (0.51, 1)):  # no solve in the path's last half target period
         planner.plan(on_course, path.t_s[-1] - share * path.period_s, last)
         assert planner.told["solves"] == solves + more
     monkeypatch.setattr(Program, "solve", lambda self, guess, *_: guesses.append(guess) or (guess, True))

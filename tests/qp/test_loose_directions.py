@@ -1,6 +1,6 @@
 """Near a straight elbow, no answer with a loss above 1 % is verified, even if it is within the primal tolerance.
 
-Each attempt moves an optimum along the nearly singular direction of A.
+The loss of x is (cost of x - smallest cost) / (largest - smallest cost) over the feasible set.
 """
 
 from fractions import Fraction
@@ -147,7 +147,7 @@ def test_only_the_better_end_of_the_feasible_segment_is_verified(size):
 
 
 def test_rounding_of_the_jacobians_does_not_limit_the_self_motion():
-    """In this self-motion, the elbow does not move, so its bounds of 0 rad/s do not matter."""
+    """Due to rounding, the elbow seems to move. Its bounds of 0 rad/s must not block the self-motion."""
     state = ROBOTS[0].state(np.array([-2.405, -0.753, 0.226, -0.016, 1.96, -2.009, 2.289]), np.zeros(7))
     A, bounds = np.round(state.A, 13), np.ones(7)
     z = null_space(np.delete(state.A, [3, 6], axis=1), rcond=1e-7)[:, 0]

@@ -75,7 +75,7 @@ def test_arm_gives_way_to_a_pressing_trocar(seed, slip_m):
     assert after(held)[2] > 1.5 * last  # with closed brakes, the force remains
 
 
-def test_brakes_open_again_only_if_the_force_rises_further(robot):
+def test_closed_brakes_open_only_if_the_force_rises_by_stop_yield(robot):
     guard, q = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False), np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose, length = robot.tool_pose(q), robot.data.tool_length
@@ -144,7 +144,7 @@ def test_under_several_faults_at_once_a_run_completes_or_the_arm_is_stopped_and_
     ended = Ending.of(trace.meta["ended"])
     assert (np.abs(trace.tau_Nm) <= setup.robot.tau_max * (1.0 + 1e-12)).all()
     if ended is Ending.STOPPED:
-        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # whether the stop ended before the planned time
+        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # the end of the run did not cut the stop off
         assert not whole or np.abs(trace.v_rad_per_s[-1]).max() <= 0.05
     else:
         assert ended in (Ending.COMPLETED, Ending.OSCILLATED)

@@ -84,7 +84,7 @@ def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, 
     bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
     assert f"malformed answers of bad: 2; in the first of them: 10 ticks, first at 0.000 s: {message}" in caption
-    assert "Answers of bad that the supervisor replaced: 100 %, so its means say little about the solver." in caption
+    assert "The supervisor replaced 100 % of the answers of bad, so the means say little about bad." in caption
     assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the trace names the solver that ran"
 
 

@@ -160,8 +160,8 @@ def test_first_screen_fits_a_terminal():
         assert counted in take
     assert "`exact` ran 60 independent trials" in sound
     model, registered = rows[0]["tip_change"].split("/")
-    common = "In the first 15 trials, which the other solvers ran too, the model error of the tip changes "
-    assert f"{common}by {model} %, and the registered error by {registered} %." in sound
+    common = "In the first 15 trials, which the other solvers ran too, the tip error changes by "
+    assert f"{common}{model} % by the robot's kinematic model, and by {registered} % in the registered frame." in sound
     for name in ("mu_mean", "tip_error_registered_mean_mm", "rcm_error_registered_mean_mm"):
         assert spread(summary["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
     assert "`qpsolvers:highs` (1 silently wrong)" in avoid
