@@ -22,6 +22,7 @@ from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.figures.notation import Mark
 from moc_opt.inputs.files import to_json
 from moc_opt.inputs.settings import Settings
+from moc_opt.report.run_table import VERDICTS, is_nonlinear
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.tables import MOST_S, SolverTable
@@ -31,7 +32,7 @@ from moc_opt.study.show import Picture, Report, Section, columns, lines_picture
 from moc_opt.study.trials import BASELINE, Trial, variant
 
 MOST_RUNS = 100_000
-ELSEWHERE = {"seed": "seeds", "solver.name": "solvers"}
+ELSEWHERE = {"seed": "seeds", "solver": "solvers", "solver.name": "solvers"}
 SHOWN = (
     "mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N", "torque_rate_rms_Nm_per_s",
     "silently_wrong",
@@ -110,6 +111,9 @@ class Config(StudyConfig):
         """Return each solver's settings. Raise a SolverError if one cannot run."""
         table = self.scenario.solver
         if self.solvers is None:
+            for name in self.settings:
+                if name != table.name:
+                    raise UnknownNameError("solver in [settings]", name, [table.name])
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
             return {name: {**table.settings, **self.settings.get(table.name, {})}}
         if table != SolverTable():
@@ -128,7 +132,7 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
     """Yield (dotted path, value). A table that has a key low, high or choice counts as a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
-        if path in ELSEWHERE:
+        if path in ELSEWHERE and not (path == "solver" and isinstance(value, Mapping)):
             raise SweepError(f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration")
         if isinstance(value, Mapping) and not {"low", "high", "choice"} & value.keys():
             yield from flat(value, f"{path}.")
@@ -168,7 +172,9 @@ def plan(config: Config) -> list[Trial]:
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])
-    if not 1 <= count <= MOST_RUNS:
+    if not count:
+        raise SweepError("0 runs: give at least one solver and one seed (seeds = 1)")
+    if count > MOST_RUNS:
         raise SweepError(f"{count} runs: a sweep has 1 to {MOST_RUNS}; split a larger one into several")
     draws = random_draws(config.random.fields, samples, config.seed)
     if twice := grid.keys() & draws.keys():
@@ -179,6 +185,8 @@ def plan(config: Config) -> list[Trial]:
         if solver == BASELINE:  # DCAC has no solver
             fields = {path: value for path, value in fields.items() if not path.startswith("solver.")}
         case = _case(config.scenario, seed, fields)
+        if solver != BASELINE and case.control.law == "dcac":
+            raise SweepError(f"law = 'dcac' has no solver {solver!r}: give law = 'moc', and 'dcac' in solvers")
         settings = {**solvers[solver], **case.solver.settings}
         try:
             key = to_json([solver, settings, case.model_dump(mode="json")], indent=None, sort_keys=True)
@@ -249,7 +257,9 @@ def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
                 continue
             group: dict[str, Any] = {"runs": len(mine), "failed": len(mine.failed())}
             group["oscillated"] = sum(str(row["ended"]).startswith("oscillated") for row in mine)
-            for metric in (*SHOWN, *TIMES):
+            group["remarks"] = mine.failures()[controller]
+            unjudged = VERDICTS if is_nonlinear(controller) else ()
+            for metric in (name for name in (*SHOWN, *TIMES) if name not in unjudged):
                 values = [row[metric] for row in mine if row.get("whole") and row.get(metric) is not None]
                 if values:
                     low, high = np.percentile(values, (5, 95)).tolist()
@@ -260,17 +270,18 @@ def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
 
 def report(summary: Mapping[str, Any], rows: Results, axes: Mapping[str, list[Any]], config: Config) -> Report:
     metrics = [*SHOWN, *(TIMES if config.timed else ())]
-    failures = {name: bad for name, bad in rows.failures().items() if bad}
-    marks = {name: Mark("!", name, "bad") for name in failures}
-    said = " ".join([*(["!:"] if failures else []), *chain(*failures.values()), "Means are over completed runs."])
+    remarks = [*chain.from_iterable(row["remarks"] for row in summary["all"].values())]
+    said = " ".join([*(["!:"] if remarks else []), *remarks, "Means are over completed runs."])
 
     def table(title: str, part: str, metrics: Sequence[str] = metrics) -> Table:
-        shown = [{"group": marks.get(name, name), **row} for name, row in summary[part].items()]
+        shown = [
+            {"group": Mark("!", name, "bad") if row["remarks"] else name, **row} for name, row in summary[part].items()
+        ]
         link = EVERY if part == "all" else ""
         heads = columns("runs", "failed", *metrics, of=link, torque_rate_rms_Nm_per_s="chatter")
         return Table(title, [Column("group", "solver" if part == "all" else "solver, value"), *heads], shown, said)
 
-    mu = {name: row["mu_mean"] for name, row in summary["all"].items() if "mu_mean" in row}
+    mu = {name: row["mu_mean"] for name, row in summary["all"].items() if "mu_mean" in row and not row["remarks"]}
     answer = [f"{len(rows.failed())} of {len(rows)} runs did not complete their task."]
     if len(mu) > 1:
         best, worst = max(mu, key=mu.__getitem__), min(mu, key=mu.__getitem__)

@@ -1,7 +1,4 @@
-"""The metrics of closed-loop runs equal those in frozen.json up to small differences.
-
-``python -m tests.test_frozen --write`` rewrites the file.
-"""
+"""Metrics of runs equal those in frozen.json. ``python -m tests.test_frozen --write`` rewrites it."""
 
 import json
 import sys

@@ -30,9 +30,14 @@ ANOTHER_PROBLEM = (
 )
 
 
-def answers_another_problem(trace: Trace) -> bool:
+def is_nonlinear(solver: str) -> bool:
     """Return whether the solver solves a nonlinear problem. The metrics in `VERDICTS` then mean nothing."""
-    return about(trace).get("solver", "").startswith("nlp-")
+    return solver.startswith("nlp-")
+
+
+def answers_another_problem(trace: Trace) -> bool:
+    """Return whether the run's solver `is_nonlinear`."""
+    return is_nonlinear(about(trace).get("solver", ""))
 
 
 def part(trace: Trace) -> str:

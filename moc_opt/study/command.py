@@ -36,6 +36,7 @@ from moc_opt.study.kept import Kept, versions
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report
 from moc_opt.study.trials import Run, Trial, outcome, placed
+from moc_opt.trace.meta import Ending
 
 QUICK = "Quick run on less data: the full study may find something else."
 WRONG, INTERRUPTED = 2, 130  # exit status after an error, and after Ctrl-C
@@ -111,6 +112,7 @@ class Study:
     ) -> list[Run]:
         """Return one `Run` per trial, failed or not. ``limit_s`` replaces the trials' time limits."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
+        options.setdefault("keep", lambda run: run.row["ended"] != Ending.FAILED.value)  # failed runs are tried again
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 

@@ -1,6 +1,7 @@
 """A store of finished jobs, from which a stopped study continues.
 
-A result is reused if the job, the packages' versions, the robots' files and the imported sources are unchanged.
+A result is reused if the job, the files that it names, the packages' versions, the robots' files and the imported
+sources are unchanged.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.metadata
+import os
 import pickle
 import sqlite3
 import sys
@@ -15,6 +17,7 @@ import sysconfig
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache, partial
+from glob import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +28,7 @@ from pydantic import BaseModel
 from moc_opt import core
 from moc_opt.errors import StudyError
 from moc_opt.inputs.files import to_json
+from moc_opt.solvers.registry import GROUP
 
 PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
@@ -76,26 +80,29 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
+    named = {file: file.stat() for file in sorted(_inputs(asked))}
+    asked.append({str(file): _content(file, at.st_mtime_ns, at.st_size) for file, at in named.items()})
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the imported files, except those of Python, of installed packages and of `SHOWS`."""
+    """Return the imported files and plug-ins, except those of Python, of other packages and of `SHOWS`."""
     return _sources(tuple(sys.modules))
 
 
 @lru_cache(maxsize=1)
 def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
-    found = [sys.modules.get(name) for name in modules]
-    files = {Path(file) for module in found if (file := getattr(module, "__file__", None))}
+    plugins = {point.module.partition(".")[0] for point in importlib.metadata.entry_points(group=GROUP)}
     installed = {Path(sysconfig.get_path(kind)) for kind in ("stdlib", "platstdlib", "purelib", "platlib")}
     shows = {HOME / room for room in SHOWS}
-    return tuple(
-        sorted(
-            str(file.relative_to(HOME.parent) if HOME.parent in file.parents else file) for file in files
-            if not shows & set(file.parents) and (HOME in file.parents or not installed & set(file.parents))
-        )
-    )  # fmt: skip
+    found = set[str]()
+    for name in modules:
+        if path := getattr(sys.modules.get(name), "__file__", None):
+            file, plugin = Path(path), name.partition(".")[0] in plugins
+            rooms = {*file.parents}
+            if not shows & rooms and (plugin or HOME in rooms or not installed & rooms):
+                found.add(str(file.relative_to(HOME.parent) if HOME.parent in rooms else file))
+    return tuple(sorted(found))
 
 
 def digest_of(sources: tuple[str, ...]) -> str:
@@ -128,6 +135,20 @@ def _file_digest(file: str) -> str:
         return hashlib.sha256((HOME.parent / file).read_bytes()).hexdigest()
     except OSError:
         return "gone"
+
+
+def _inputs(value: Any) -> set[Path]:
+    """Return the files whose paths are among the texts of JSON data. A robot's TOML also brings its URDF."""
+    if isinstance(value, str):
+        file = Path(value.strip("'"))
+        return {*filter(Path.is_file, file.parent.glob(f"{escape(file.stem)}.*"))} if os.path.isfile(file) else set()
+    entries = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+    return set().union(*map(_inputs, entries))
+
+
+@cache
+def _content(file: Path, changed_ns: int, size: int) -> str:  # a file with another time or size is read again
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _plain(value: Any) -> Any:

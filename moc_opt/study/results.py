@@ -14,7 +14,6 @@ from moc_opt.errors import StudyError
 from moc_opt.inputs.files import plain, write_whole
 from moc_opt.study.statistics import Change, Interval, StatisticsError, mean, relative_changes
 from moc_opt.study.trials import BASELINE
-from moc_opt.trace.meta import Ending
 
 ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
@@ -126,12 +125,12 @@ class Results:
         return [row for row in self._rows if row.get("error")]
 
     def failures(self, names: Iterable[str] | None = None) -> dict[str, list[str]]:
-        """For each controller, return sentences on failed trials and on answers that the supervisor replaced."""
+        """For each controller, return sentences on trials that it did not complete, and on replaced answers."""
         found = dict[str, list[str]]()
         for name in self.names() if names is None else names:
             mine, bad = list(self.where(controller=name)), list[str]()
-            if errors := [row["error"] for row in mine if row["ended"] == Ending.FAILED.value]:
-                bad.append(f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}.")
+            if errors := [row["error"] for row in mine if row.get("error")]:
+                bad.append(f"Trials of {name} that failed or were stopped: {len(errors)}; the first: {errors[0]}.")
             if raised := [row["raised"] for row in mine if row.get("raised")]:
                 count = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
                 bad.append(f"{count}; in the first of them: {raised[0]}.")

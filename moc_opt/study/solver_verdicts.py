@@ -258,7 +258,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         f"all solvers ran; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the "
         "rules.",
         "Right: share of problems whose answer was called optimal and is verified, or that were rightly called "
-        "infeasible. Problems refused as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): not run or not judged.",
+        "infeasible. Problems refused as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): "
+        "not run or not judged.",
     ]
     if any(row["trials"] for row in rows):
         columns += [

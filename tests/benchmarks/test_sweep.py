@@ -1,14 +1,18 @@
+from argparse import Namespace
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import moc_opt as mo
 from benchmarks import sweep
 from benchmarks.sweep import Config, plan, random_draws
 from moc_opt.errors import MocOptError
+from moc_opt.study.command import Study
 from moc_opt.study.results import Results
-from moc_opt.study.trials import variant
+from moc_opt.study.trials import Trial, variant
 
 TINY = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
 GRID = {"control.regularization": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 0.1]}
@@ -27,7 +31,8 @@ def config(**changes: Any) -> Config:
     ({"random": {"fields": {"plant.mass_error": {"low": 0.2, "high": 0.1}}}}, "give low < high"),
     ({"random": {"fields": {"plant.delay_ticks": {"low": 0.2, "high": 0.8, "scale": "integer"}}}}, "whole number"),
     ({"random": {"fields": {"plant.mass_error": {"low": 0.1, "high": 0.2}}}}, r"\[grid\] and in \[random"),
-    ({"seeds": []}, "0 runs"), ({"settings": {"osqp": {}}}, r"\[settings\]"),
+    ({"seeds": []}, "0 runs"), *(({"settings": {"osqp": {}}, "solvers": s}, "in .settings") for s in (["exact"], None)),
+    ({"grid": {"control.law": ["dcac"]}}, "no solver 'exact'"), ({"grid": {"solver": [{"name": "osqp"}]}}, "'solvers'"),
     ({"scenario": {"solver": {"name": "rnn"}}}, r"\[scenario.solver\]"),
 ])  # fmt: skip
 def test_wrong_sweep_is_refused_before_any_run(changes: dict[str, Any], message: str) -> None:
@@ -120,3 +125,10 @@ def test_caption_explains_the_mark_of_a_solver_whose_answers_were_replaced() -> 
     table = sweep.report({"all": sweep.grouped(rows)}, rows, {}, config()).table
     assert [getattr(shown["group"], "symbol", "") for shown in table.rows] == ["!", ""]
     assert table.caption.startswith("!: The supervisor replaced 100 % of the answers of a, so the means say little")
+
+
+def test_a_failed_run_is_tried_again(tmp_path: Path) -> None:
+    lost = [Trial(mo.Scenario(robot={"name": str(tmp_path / "no.toml")}), "exact")]
+    for _ in range(2):
+        study = Study("sweep", tmp_path, Namespace())
+        assert ([run.row["ended"] for run in study.trials(lost)], study.kept.reused) == (["failed"], 0)

@@ -1,7 +1,4 @@
-"""The safety filter reacts to a value above a threshold (`level`), but not to a value equal to it.
-
-All numbers are short binary fractions, so that arithmetic is exact.
-"""
+"""The safety filter reacts to a value above a threshold, but not at it. All numbers are short binary fractions."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,4 @@
-"""Near a straight elbow, no answer with a loss above 1 % is verified, even if it is within the primal tolerance.
-
-The loss of x is (cost of x - smallest cost) / (largest - smallest cost) over the feasible set.
-"""
+"""Near a straight elbow, no answer that loses over 1 % of (largest - smallest feasible cost) is verified."""
 
 from fractions import Fraction
 

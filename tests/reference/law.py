@@ -1,7 +1,4 @@
-"""The control law of docs/method.md in plain numpy. Tests compare the C core with it.
-
-``s`` is a RobotState. The trocar has the position P and velocity dP.
-"""
+"""The control law of docs/method.md in plain numpy, from a RobotState s and the trocar's position P, velocity dP."""
 
 import numpy as np
 from scipy.linalg import null_space as scipy_null_space

@@ -72,7 +72,7 @@ def test_runs_of_a_solver_that_cannot_start_are_reported_as_failed():
     assert [one[:-1] for one in errors] == [("failed", said)]
     assert not {"mu_mean", "mu_gain_percent"} & set(found.summary()["broken"])
     assert [row[:2] for row in found.table.texts()[1]] == [("dcac", "2"), ("! broken", "0 of 2"), ("exact", "2")]
-    assert found.table.caption.startswith("!: Failed trials of broken: 2; error of the first: ControlError: solver 'br")
+    assert found.table.caption.startswith("!: Trials of broken that failed or were stopped: 2; the first: Control")
 
 
 @pytest.mark.parametrize(("answers", "message"), [

@@ -14,6 +14,7 @@ import pytest
 
 from moc_opt.errors import StudyError
 from moc_opt.study import Failed, Job, Kept, engine, run
+from moc_opt.study.kept import key_of
 from tests.study import work
 
 HOME = Path(__file__).parents[2]
@@ -173,3 +174,12 @@ def test_unusable_workers_and_clusters_are_refused(monkeypatch):
     for more, said in (({"workers": -3}, "workers = -3: give 1"), ({"dask": "tcp://x:1"}, r".\[cluster\]")):
         with pytest.raises(StudyError, match=said):
             run([Job(work.square, (2.0,))], **more)
+
+
+def test_job_has_a_new_key_if_a_file_that_it_names_changes(tmp_path):
+    arm = tmp_path / "arm.toml"
+    keys = set()
+    for suffix, text in ((".toml", "old"), (".toml", "changed"), (".urdf", "new")):
+        arm.with_suffix(suffix).write_text(text)
+        keys.add(key_of(work.square, ({"robot": str(arm)},)))
+    assert len(keys) == 3
