@@ -90,10 +90,10 @@ COMMANDS = {
         FORCE,
         JSON,
     ), "With --out, or if the scenario has third_level = 'planned' or 'receding', the defaults are those of [control]: "
-       "course_margin_rad for --margin, limit_margin_m for --margin-m, and course_speed_fraction for --speed-share. In "
-       "all other cases, the margins default to 0, and --speed-share to 1. If you give one of the two margins, the "
-       "default of the other is always 0. Exit status: 0 the arm can follow the whole path from this start; 2 the "
-       "input is wrong; 3 the arm cannot."),
+       "course_margin_rad for --margin, limit_margin_m for --margin-m (but 0 for one of these two if you give the "
+       "other), and course_speed_fraction for --speed-share. In all other cases, the margins default to 0, and "
+       "--speed-share to 1. Exit status: 0 the arm can follow the whole path from this start; 2 the input is wrong; "
+       "3 the arm cannot."),
     "replay": Command("commands.making:save_page", "show one to four saved runs in 3-D, in one HTML file",
                       pages("replay")),
     "map": Command("commands.making:save_page", "show saved runs of one path on a manipulability map, in one HTML file",

@@ -66,13 +66,13 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and tau_ff, the second term (Khatib 1987, eq. 51):
+/* Add the wrist's torque (only with MOC_DYNAMIC), and tau_ff = A5^T (A5 M^-1 A5^T)^-1 a (Khatib 1987, eq. 51):
  *
- *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
+ *   tau += (I - J_T^T Jbar_T^T) tau_W + tau_ff,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T, and
- * below it (H^-1 tau_W)^T. Its rows are made orthogonal, because A5 M^-1 A5^T has the square of their condition number.
+ * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T, which is
+ * orthogonalized (A5 M^-1 A5^T would have the square of its condition number), and below it (H^-1 tau_W)^T.
  * With a straight elbow, the wrist cannot be accelerated in one direction. tau_ff leaves out this direction. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
@@ -173,8 +173,8 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     add_force(n, J_T, 1.0, F, tau);
 
     /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. factor is 1 or, if rcm_lambda > 0,
-     * d / (rcm_lambda |N_d - N|) with the RCM error d, as in Su et al. With the angle theta between e and -u,
-     * d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
+     * d / (rcm_lambda |N_d - N|) with the RCM error d, as in Su et al. With the angle theta between e and -u (from X
+     * to N), d = |P_t - X| sin(theta) and |N_d - N| = 2 L sin(theta/2). */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         factor = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;

@@ -40,7 +40,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
     if names != data.joint_names:
         raise PlantError(
             f"robot {data.name!r}: MuJoCo finds the joints {names}, the robot lists {data.joint_names}: "
-            "set type='fixed' for joints that are not listed, and list the others from the base to the tool"
+            "set type='fixed' in the URDF for every joint not listed, and list the joints from base to tool"
         )
     for i, joint in enumerate(spec.joints):
         joint.range = (data.q_min[i], data.q_max[i])

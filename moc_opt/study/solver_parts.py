@@ -46,8 +46,8 @@ FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
     "primal": "largest constraint violation of all answers",
     "natural": "largest natural residual (0 at an optimum) with the solver's own duals",
-    "relative": "largest natural residual, with the cost divided by the size of its gradient and with the duals that "
-    "make the residual smallest",
+    "relative": "largest natural residual over the answers, with the best duals for each answer, and with the cost "
+    "divided by the size of its gradient",
     "loss": "(cost of the worst answer - smallest cost) / (largest - smallest cost) over the feasible x",
 }  # fmt: skip
 TIMES = {

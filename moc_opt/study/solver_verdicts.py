@@ -198,8 +198,8 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     if row["tip_change"] and shared < trials:
         shaken += f" ({closed.get('oscillated_in_common', 0) or 'none'} of the first {shared})" if shaken else ""
         model, registered = row["tip_change"].split("/")
-        common = f" In the first {shared} trials, which the other solvers ran too, the tip error changes by {model} % "
-        common += f"by the robot's kinematic model, and by {registered} % in the registered frame."
+        common = f" In the first {shared} trials, which the other solvers ran too, the registered tip error changes by "
+        common += f"{registered} %, and the tip error computed with the robot's kinematic model by {model} %."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
         f"changes by {mu}. In the frame registered at the start, the tip error changes by {tip} and the RCM error by "

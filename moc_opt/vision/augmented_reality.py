@@ -96,7 +96,7 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run (.webm) with the registered ``trocar`` (3,) [m]. Return the number of pictures."""
+        """Film the run (.webm), with a line to the registered ``trocar`` (3,) [m]. Return the number of pictures."""
         return save_film(file, self._frames(trace, path, trocar), self.camera.settings.rate_Hz)
 
     def _frames(self, trace: Trace, path: Path, trocar: ArrayLike) -> Iterator[Picture]:

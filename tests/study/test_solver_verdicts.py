@@ -128,7 +128,7 @@ def test_uncertain_loss_does_not_count(cost, unlike, trials, verdict, damage):
 def test_busy_machine_gives_a_remark():
     busy = {"times_calls": 1000, "times_switches": 9, "times_cpu_s": 1.0, "times_wall_s": 1.0}
     rivals = (({}, False), (busy, True), ({**busy, "times_switches": 2}, False), ({**busy, "p50": 59.0}, False))
-    for more, said in rivals:  # the last rival is far slower, so noise cannot exchange the order
+    for more, said in rivals:  # the median of the last rival is too large for noise to exchange the order
         summary, results = study({"fast": certified(), "slow": certified(p99=60.0, **more)})
         text = sentences(summary, assess(summary, results))[0]
         assert text.startswith("Use `fast`")
@@ -160,8 +160,8 @@ def test_first_screen_fits_a_terminal():
         assert counted in take
     assert "`exact` ran 60 independent trials" in sound
     model, registered = rows[0]["tip_change"].split("/")
-    common = "In the first 15 trials, which the other solvers ran too, the tip error changes by "
-    assert f"{common}{model} % by the robot's kinematic model, and by {registered} % in the registered frame." in sound
+    common = "In the first 15 trials, which the other solvers ran too, the registered tip error changes by "
+    assert f"{common}{registered} %, and the tip error computed with the robot's kinematic model by {model} %." in sound
     for name in ("mu_mean", "tip_error_registered_mean_mm", "rcm_error_registered_mean_mm"):
         assert spread(summary["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
     assert "`qpsolvers:highs` (1 silently wrong)" in avoid

@@ -50,7 +50,7 @@ def test_every_metric_equals_its_hand_computed_value() -> None:
         "trocar_force_mean_N": 2.0, "trocar_force_max_N": 5.0,
         # Steps of 5, 0 and 10 Nm in 2 ms.
         "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
-        # Joint 2 has the means 1 rad/s and 5.5 Nm over all four ticks. In so short a run, only ticks 3 and 4 count.
+        # Joint 2 has the means 1 rad/s and 5.5 Nm over all four ticks. These two metrics use only ticks 3 and 4.
         # In these, joint 2 deviates from its means by -1 and 1 rad/s, and by -1.5 and 8.5 Nm.
         "oscillation_rad_per_s": 1.0, "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0, "solve_p99_us": 29.8, "tick_p50_us": 100.25,

@@ -93,7 +93,7 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
 
-/* Whether a datagram is a correctly signed measurement from the plant and, if wire.session is known, belongs to it. */
+/* Whether a datagram is a correctly signed measurement from the plant, of the session wire.session if this is known. */
 static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in *sender)
 {
     const wire_header *head = (const wire_header *)bytes;
