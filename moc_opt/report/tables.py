@@ -38,7 +38,7 @@ class Column:
     help: str = ""
     among: str = ""  #: key of a flag: only rows with this flag can be best
     section: str = ""  #: section of the page to which the values link
-    sections: str = ""  #: key under which a row names the section to which its value links, instead of `section`
+    sections: str = ""  #: key of the row's entry that names the section to link to; it replaces `section` for that row
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,8 @@ def followable_plan(
     """Plan a course within limits, and return the plan and the limits.
 
     ``followed`` says whether level 3 follows the course (None: as in [control]). If it follows, a missing speed share
-    comes from [control], otherwise it is 1. If it follows and both margins are missing, they come from [control], or
-    are 0 if no course from the start keeps those of [control]. In all other cases, a missing margin is 0.
+    comes from [control], otherwise it is 1. If it follows and both margins are missing, the margins of [control] are
+    tried first, then margins of 0 if no course from the start keeps those. In all other cases, a missing margin is 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
