@@ -19,9 +19,10 @@ $(READY): pyproject.toml setup.py constraints.txt packaging/backend.py $(wildcar
 solvers: setup
 	$(RUN) -m benchmarks.solvers
 
-# The tests share the cores: threads of the linear algebra library would only wait for each other.
+# The tests share the cores: threads of the linear algebra library would only wait for each other. The tests start many
+# processes, which would compile the modules again if the environment forbids to keep the bytecode.
 test: setup lint
-	OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup
 	$(RUN) -m ruff check .

@@ -327,7 +327,8 @@ def swivel_trials(config: Config) -> list[Trial]:
     robot = trial.robot.arm()
     curve = self_motion(robot, robot.data.q_home if trial.start.q_rad is None else trial.start.q_rad)
     top = float((curve.s[np.argmax(curve.mu)] - curve.s[0]) / (curve.s[-1] - curve.s[0]))
-    places = [(at, curve.at(at), False) for at in np.linspace(0.05, 0.95, config.swivel.starts).tolist()]
+    fractions = np.linspace(0.05, 0.95, config.swivel.starts)
+    places = [(at, q, False) for at, q in zip(fractions.tolist(), curve.at(fractions), strict=True)]
     found = []
     for at, pose, best in sorted([*places, (top, curve.best, True)], key=lambda place: place[0]):
         start = {"pose": "home", "q_rad": tuple(pose.tolist()), "swivel": "given"}

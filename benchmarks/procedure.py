@@ -60,7 +60,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     estimate = scene.locate(guided.q)
     path = scene.board.task_in_base(task, estimate)
     q = pose_through(robot, path.start, guided.registered)
-    q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
+    q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95, 1))[0]
     trace, waited, lost = _run(scenario, plant, scene, path, q, (guided.trocar, guided.registered))
     count = scene.film(film, trace, path, guided.registered) if film is not None else 0
     deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))  # from the task on the true board

@@ -124,30 +124,29 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With both, the planner takes over once the arm has left the course. Raise a TaskError if there is no course at
-        t = 0.
+        With both, the planner takes over once the arm has left the course. Call `start` before the first tick.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
+        self._tick, self._begun = 0, -1
         self.course_mu_mean = None if course is None else course.mu_mean
         """Mean mu of the given course [m^3], or None."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
             self._given = Piece(course.t_s, course.q_rad, velocity)
+        self._now: Piece | None = self._given
         self._every = 0 if planner is None else max(1, round(1.0 / (planner.rate_per_s * period_s)))
-        self.start()
-        if self._now is None:
-            raise TaskError(NO_COURSE)
 
     def start(self) -> None:
-        """Restart at t = 0."""
-        self._tick, self._begun = 0, -1
-        self._now: Piece | None = self._given
+        """Start at t = 0. Raise a TaskError if there is no course."""
+        self._tick, self._begun, self._now = 0, -1, self._given
         if self._planner is not None:
             self._planner.forget()
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
+        if self._now is None:
+            raise TaskError(NO_COURSE)
 
     def _begin(self, planner: Planner, q: Array) -> None:
         found = planner.plan(q, self._tick * self._period, None)

@@ -93,17 +93,16 @@ class SelfMotion:
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)  # lower and upper bounds (n,), tip and wrist (2,3)
 
-    def at(self, fraction: float) -> Array:
-        """Return the pose (n,) at a fraction in [0, 1] of the arc length."""
-        place = float(np.interp(self.s[0] + fraction * np.ptp(self.s), self.s, np.arange(len(self.s))))
-        i, weight = int(place), place % 1.0
-        if weight > 0.0:
-            between = self.q[i] + weight * (self.q[i + 1] - self.q[i])
-            miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
-            if miss < 1e-10:
-                return pose
-        # Newton's method can fail near a joint limit or a singular pose.
-        return np.array(self.q[round(place)])
+    def at(self, fractions: ArrayLike) -> Array:
+        """Return the poses (k, n) at fractions (k,) in [0, 1] of the arc length."""
+        places = np.interp(self.s[0] + np.asarray(fractions) * np.ptp(self.s), self.s, np.arange(len(self.s)))
+        i = places.astype(int)
+        poses = self.q[i] + (places - i)[:, None] * (self.q[np.minimum(i + 1, len(self.q) - 1)] - self.q[i])
+        for k in np.flatnonzero(places % 1.0):
+            miss, pose = self._robot.arm.nearest_pose(*self._task, poses[k], 10)
+            # Newton's method can fail near a joint limit or a singular pose.
+            poses[k] = pose if miss < 1e-10 else self.q[round(places[k])]
+        return poses
 
     @property
     def best(self) -> Array:
@@ -112,7 +111,7 @@ class SelfMotion:
         if not 0 < i < len(self.mu) - 1:
             return np.array(self.q[i])
         peak = self.s[i] + parabola_peak(self.s[i - 1 : i + 2], self.mu[i - 1 : i + 2])[0]
-        pose = self.at(float(np.clip((peak - self.s[0]) / (self.s[-1] - self.s[0]), 0.0, 1.0)))
+        (pose,) = self.at([np.clip((peak - self.s[0]) / (self.s[-1] - self.s[0]), 0.0, 1.0)])
         return pose if self._robot.mu_along(pose[None])[0] > self.mu[i] else np.array(self.q[i])
 
     @property

@@ -113,11 +113,13 @@ def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
     turned = angles[0] + sign * np.mod(sign * (swivels - angles[0]), 2.0 * np.pi)
     known = sign * (angles[-1] - turned) >= 0.0
     found = np.full((len(swivels), curve.q.shape[1]), np.nan)
-    aim = turned[known]
-    for _ in range(3):  # correct the error of linear interpolation
-        poses = [curve.at(float(part)) for part in np.interp(sign * aim, sign * angles, along)]
-        found[known] = np.array(poses).reshape(-1, found.shape[1])
-        aim = aim + wrapped(turned[known] - elbow.swivel(found[known]))
+
+    def poses(aims: Array) -> Array:
+        return curve.at(np.interp(sign * aims, sign * angles, along))
+
+    aims = turned[known]
+    error = wrapped(aims - elbow.swivel(poses(aims)))  # of linear interpolation
+    found[known] = poses(aims + error)
     return found
 
 

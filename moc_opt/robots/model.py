@@ -241,10 +241,11 @@ class RobotModel:
 def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
     """Return origins (k,n,3) [m] and rotations (k,n,3,3) of the joints' frames at poses (k,n)."""
     model, data = robot._pin, robot._pin.createData()
+    joints = [data.oMi[j] for j in range(1, robot.n + 1)]  # references, which stay valid
     frames = np.empty((len(poses), robot.n, 4, 4))
     for k, pose in enumerate(np.asarray(poses, dtype=np.float64)):
         pin.forwardKinematics(model, data, pose)
-        frames[k] = [frame.homogeneous for frame in list(data.oMi)[1:]]
+        frames[k] = [joint.homogeneous for joint in joints]
     return frames[..., :3, 3], frames[..., :3, :3]
 
 

@@ -50,7 +50,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
     fraction = rng.uniform(0.05, 0.95) if start.swivel == "random" else start.swivel
 
     def swivelled(q: Array) -> Array:
-        return q if fraction == "given" else self_motion(robot, q).at(float(fraction))
+        return q if fraction == "given" else self_motion(robot, q).at([fraction])[0]
 
     if start.pose == "random":
         rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=_POSE_STREAM))

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
@@ -109,6 +108,8 @@ def share(found: int, trials: int) -> Interval:
     """Return found/trials with the exact binomial interval (Clopper and Pearson 1934)."""
     if not 0 <= found <= trials or trials < 1:
         raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 <= found <= trials")
+    from scipy import stats  # slow to import
+
     low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
     return Interval(found / trials, float(low), float(high), trials)
 
@@ -168,6 +169,8 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     value, count, low, high = float(statistic(*samples)), len(samples[0]), float("nan"), float("nan")
     if count < 2:
         return Interval(value, low, high, count)
+    from scipy import stats  # slow to import
+
     quantile = float(stats.t.ppf(1.0 - 0.5 * NOMINAL * (1.0 - CONFIDENCE), count - 1))
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)

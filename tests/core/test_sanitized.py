@@ -24,8 +24,8 @@ def sanitized(tmp_path_factory):
     if not all(Path(library).is_absolute() for library in libraries):
         pytest.skip("GCC has no sanitizers here")
     place = tmp_path_factory.mktemp("sanitized")
-    flags = "-O1 -fsanitize=address,undefined -fno-sanitize-recover=undefined -fno-builtin-sin -fno-builtin-cos"
-    (place / "cc").write_text(f'#!/bin/sh\nexec gcc "$@" {FILL}pattern {flags}\n')  # -O1 compiles faster than -O2
+    flags = "-Og -fsanitize=address,undefined -fno-sanitize-recover=undefined -fno-builtin-sin -fno-builtin-cos"
+    (place / "cc").write_text(f'#!/bin/sh\nexec gcc "$@" {FILL}pattern {flags}\n')  # -Og compiles faster than -O1
     (place / "cc").chmod(0o755)
     built = subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--build-lib", place, "--build-temp", place],
                            cwd=ROOT, env=os.environ | {"CC": str(place / "cc")}, capture_output=True, text=True,

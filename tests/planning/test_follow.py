@@ -40,7 +40,9 @@ def ran(level):
 
 
 def follower(of):
-    return of.controller()._guide
+    guide = of.controller()._guide
+    guide.start()
+    return guide
 
 
 planned_ways = cache(lambda: Ways(setup("planned").following))

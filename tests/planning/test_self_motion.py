@@ -27,7 +27,7 @@ def test_a_self_motion_keeps_tip_and_wrist_in_place(robot, regular_poses):
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)
         check(robot, start, motion, motion.q[::7])
-        check(robot, start, motion, np.array([motion.at(f) for f in (0.0, *rng.uniform(size=4), 1.0)]))
+        check(robot, start, motion, motion.at([0.0, *rng.uniform(size=4), 1.0]))
         check(robot, start, motion, motion.best[None])
         assert motion.held == (6,)
         np.testing.assert_array_equal(motion.q[int(np.flatnonzero(motion.s == 0.0)[0])], start)
@@ -45,7 +45,7 @@ def test_a_self_motion_keeps_tip_and_wrist_in_place(robot, regular_poses):
 def test_a_self_motion_is_the_same_from_each_of_its_poses(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
     turned = np.append(robot.data.q_home[:6], robot.q_max[6])  # the idle joint is at its limit
-    again, idle, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), turned, motion.q[0], motion.q[-1]))
+    again, idle, *from_ends = (self_motion(robot, q) for q in (motion.at([0.8])[0], turned, motion.q[0], motion.q[-1]))
     for other in (again, idle, *from_ends):
         assert (np.ptp(other.s), other.mu_best) == pytest.approx((np.ptp(motion.s), motion.mu_best), abs=1e-6)
     assert all(0.0 in (other.s[0], other.s[-1]) for other in from_ends)
@@ -70,7 +70,7 @@ def test_a_self_motion_without_joint_limits_is_a_closed_curve(robot):
     turns = (motion.q[-1] - motion.q[0]) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
     check(free, q, motion, motion.q[::9])
-    check(free, q, motion, np.array([motion.at(f) for f in np.linspace(0, 1, 11)]))
+    check(free, q, motion, motion.at(np.linspace(0, 1, 11)))
     swivel = np.unwrap(Elbow(free, free.state(q).wrist[None]).swivel(motion.q))
     assert abs(swivel[-1] - swivel[0]) == pytest.approx(2 * np.pi, abs=1e-6)
 
@@ -148,7 +148,7 @@ def curve(robot):
 @pytest.fixture(scope="module")
 def place(curve):
     top = curve.s[np.argmax(curve.mu)] - curve.s[0]
-    return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
+    return lambda s: curve.at((top + np.atleast_1d(s)) / (curve.s[-1] - curve.s[0]))
 
 
 def test_the_distance_to_the_largest_mu_is_an_arc_length(robot, curve, place, regular_poses):

@@ -69,7 +69,7 @@ def test_second_run_reuses_all_results(tmp_path, capsys):
 
 def test_broken_solvers_do_not_disturb_the_others(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(broken_solvers.install(tmp_path / "plugin")))
-    monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 6.0)
+    monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 3.0)
     monkeypatch.setattr("moc_opt.study.trials.PER_S", 1.0)
     names = ("hangs", "exact", "crashes", "raises")
     assert run(tmp_path, "--parts", "testsets", "closed_loop", "--sets", "circle", "--json", names=names) == 0
