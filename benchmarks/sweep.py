@@ -110,19 +110,16 @@ class Config(StudyConfig):
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
         """Return each solver's settings. Raise a SolverError if one cannot run."""
         table = self.scenario.solver
-        if self.solvers is None:
-            for name in self.settings:
-                if name != table.name:
-                    raise UnknownNameError("solver in [settings]", name, [table.name])
-            name = BASELINE if self.scenario.control.law == "dcac" else table.name
-            return {name: {**table.settings, **self.settings.get(table.name, {})}}
-        if table != SolverTable():
+        if self.solvers is not None and table != SolverTable():
             raise SweepError("solvers and [scenario.solver] are both given: give only solvers and [settings]")
-        names = runnable(self.solvers, BASELINE)
+        names = [table.name] if self.solvers is None else runnable(self.solvers, BASELINE)
         for name in self.settings:
             if name not in names:
                 raise UnknownNameError("solver in [settings]", name, names)
-        return {name: self.settings.get(name, {}) for name in names}
+        if self.solvers is not None:
+            return {name: self.settings.get(name, {}) for name in names}
+        name = BASELINE if self.scenario.control.law == "dcac" else table.name
+        return {name: {**table.settings, **self.settings.get(table.name, {})}}
 
 
 # --- the fields that vary: fields of a scenario, by dotted path ---
@@ -131,10 +128,10 @@ class Config(StudyConfig):
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted path, value). A table that has a key low, high or choice counts as a value."""
     for name, value in table.items():
-        path = f"{prefix}{name}"
-        if path in ELSEWHERE and not (path == "solver" and isinstance(value, Mapping)):
+        path, nested = f"{prefix}{name}", isinstance(value, Mapping) and not {"low", "high", "choice"} & value.keys()
+        if path in ELSEWHERE and not (path == "solver" and nested):
             raise SweepError(f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration")
-        if isinstance(value, Mapping) and not {"low", "high", "choice"} & value.keys():
+        if nested:
             yield from flat(value, f"{path}.")
         else:
             yield path, value
@@ -257,7 +254,7 @@ def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
                 continue
             group: dict[str, Any] = {"runs": len(mine), "failed": len(mine.failed())}
             group["oscillated"] = sum(str(row["ended"]).startswith("oscillated") for row in mine)
-            group["remarks"] = mine.failures()[controller]
+            group["remarks"] = mine.failures(controller)
             unjudged = VERDICTS if is_nonlinear(controller) else ()
             for metric in (name for name in (*SHOWN, *TIMES) if name not in unjudged):
                 values = [row[metric] for row in mine if row.get("whole") and row.get(metric) is not None]

@@ -113,8 +113,8 @@ class Comparison:
 
     @property
     def failures(self) -> dict[str, list[str]]:
-        """See `Results.failures`."""
-        return self._results.failures(self.solvers)
+        """For each solver, see `Results.failures`."""
+        return {name: self._results.failures(name) for name in self.solvers}
 
     def _legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
         """Return the sentences that explain what these rows of a table show."""

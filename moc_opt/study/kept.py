@@ -14,10 +14,10 @@ import pickle
 import sqlite3
 import sys
 import sysconfig
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache, partial
-from glob import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,10 @@ from pydantic import BaseModel
 from moc_opt import core
 from moc_opt.errors import StudyError
 from moc_opt.inputs.files import to_json
-from moc_opt.solvers.registry import GROUP
+from moc_opt.inputs.plugins import plugins
+from moc_opt.solvers import registry
+from moc_opt.tasks import paths
+from moc_opt.trace import metrics
 
 PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
@@ -80,8 +83,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
-    named = {file: file.stat() for file in sorted(_inputs(asked))}
-    asked.append({str(file): _content(file, at.st_mtime_ns, at.st_size) for file, at in named.items()})
+    asked.append(_inputs(asked))
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
@@ -92,13 +94,15 @@ def loaded_sources() -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
-    plugins = {point.module.partition(".")[0] for point in importlib.metadata.entry_points(group=GROUP)}
+    groups = (registry.GROUP, paths.GROUP, metrics.GROUP)
+    claimed = [point for group in groups for points in plugins(group).values() for point in points]
+    packages = {point.module.partition(".")[0] for point in claimed}
     installed = {Path(sysconfig.get_path(kind)) for kind in ("stdlib", "platstdlib", "purelib", "platlib")}
     shows = {HOME / room for room in SHOWS}
     found = set[str]()
     for name in modules:
         if path := getattr(sys.modules.get(name), "__file__", None):
-            file, plugin = Path(path), name.partition(".")[0] in plugins
+            file, plugin = Path(path), name.partition(".")[0] in packages
             rooms = {*file.parents}
             if not shows & rooms and (plugin or HOME in rooms or not installed & rooms):
                 found.add(str(file.relative_to(HOME.parent) if HOME.parent in rooms else file))
@@ -130,25 +134,28 @@ def versions() -> dict[str, str | None]:
 
 
 @cache
-def _file_digest(file: str) -> str:
+def _file_digest(file: str, changed: tuple[int, int] = (0, 0)) -> str:
+    """Read a file once per value of ``changed``, its time and size. Sources are read once: a module loads only once."""
     try:
         return hashlib.sha256((HOME.parent / file).read_bytes()).hexdigest()
     except OSError:
         return "gone"
 
 
-def _inputs(value: Any) -> set[Path]:
-    """Return the files whose paths are among the texts of JSON data. A robot's TOML also brings its URDF."""
+def _inputs(value: Any, folder: str = "") -> dict[str, str]:
+    """Return the digests of the files whose paths are among the texts of JSON data, and of files that a TOML names."""
     if isinstance(value, str):
-        file = Path(value.strip("'"))
-        return {*filter(Path.is_file, file.parent.glob(f"{escape(file.stem)}.*"))} if os.path.isfile(file) else set()
+        file = os.path.join(folder, value.strip("'"))
+        if not os.path.isfile(file):
+            return {}
+        at = os.stat(file)
+        found = {file: _file_digest(os.path.abspath(file), (at.st_mtime_ns, at.st_size))}
+        if file.endswith(".toml") and not folder:
+            with suppress(OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):  # the job reports the wrong file
+                found |= _inputs(tomllib.loads(Path(file).read_text("utf-8")), os.path.dirname(file) or ".")
+        return found
     entries = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-    return set().union(*map(_inputs, entries))
-
-
-@cache
-def _content(file: Path, changed_ns: int, size: int) -> str:  # a file with another time or size is read again
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return {file: digest for entry in entries for file, digest in _inputs(entry, folder).items()}
 
 
 def _plain(value: Any) -> Any:

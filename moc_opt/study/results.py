@@ -124,21 +124,18 @@ class Results:
         """Return the rows that have an error."""
         return [row for row in self._rows if row.get("error")]
 
-    def failures(self, names: Iterable[str] | None = None) -> dict[str, list[str]]:
-        """For each controller, return sentences on trials that it did not complete, and on replaced answers."""
-        found = dict[str, list[str]]()
-        for name in self.names() if names is None else names:
-            mine, bad = list(self.where(controller=name)), list[str]()
-            if errors := [row["error"] for row in mine if row.get("error")]:
-                bad.append(f"Trials of {name} that failed or were stopped: {len(errors)}; the first: {errors[0]}.")
-            if raised := [row["raised"] for row in mine if row.get("raised")]:
-                count = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
-                bad.append(f"{count}; in the first of them: {raised[0]}.")
-            asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
-            if refused > 0.01 * asked:
-                most = f", so the means say little about {name}" if 2 * refused > asked else ""
-                bad.append(f"The supervisor replaced {100 * refused / asked:.0f} % of the answers of {name}{most}.")
-            found[name] = bad
+    def failures(self, controller: str) -> list[str]:
+        """Return sentences on the controller's trials that it did not complete, and on replaced answers."""
+        mine, found = list(self.where(controller=controller)), list[str]()
+        if errors := [row["error"] for row in mine if row.get("error")]:
+            found.append(f"Trials of {controller} that failed or were stopped: {len(errors)}; the first: {errors[0]}.")
+        if raised := [row["raised"] for row in mine if row.get("raised")]:
+            count = f"Trials with exceptions or malformed answers of {controller}: {len(raised)}"
+            found.append(f"{count}; in the first of them: {raised[0]}.")
+        asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
+        if refused > 0.01 * asked:
+            most = f", so the means say little about {controller}" if 2 * refused > asked else ""
+            found.append(f"The supervisor replaced {100 * refused / asked:.0f} % of the answers of {controller}{most}.")
         return found
 
     @property

@@ -34,6 +34,7 @@ def config(**changes: Any) -> Config:
     ({"seeds": []}, "0 runs"), *(({"settings": {"osqp": {}}, "solvers": s}, "in .settings") for s in (["exact"], None)),
     ({"grid": {"control.law": ["dcac"]}}, "no solver 'exact'"), ({"grid": {"solver": [{"name": "osqp"}]}}, "'solvers'"),
     ({"scenario": {"solver": {"name": "rnn"}}}, r"\[scenario.solver\]"),
+    ({"random": {"fields": {"solver": {"choice": [{"name": "osqp"}]}}}}, "'solvers'"),
 ])  # fmt: skip
 def test_wrong_sweep_is_refused_before_any_run(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(MocOptError, match=message):

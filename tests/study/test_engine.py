@@ -176,10 +176,13 @@ def test_unusable_workers_and_clusters_are_refused(monkeypatch):
             run([Job(work.square, (2.0,))], **more)
 
 
-def test_job_has_a_new_key_if_a_file_that_it_names_changes(tmp_path):
-    arm = tmp_path / "arm.toml"
-    keys = set()
-    for suffix, text in ((".toml", "old"), (".toml", "changed"), (".urdf", "new")):
-        arm.with_suffix(suffix).write_text(text)
+def test_job_has_a_new_key_if_a_file_that_it_or_its_robot_names_changes(tmp_path):
+    arm, keys = tmp_path / "arm.toml", set()
+    (tmp_path / "links").mkdir()
+    for file, text in (
+        (arm, "urdf = 'links/a.urdf'"), (arm, "urdf = 'links/b.urdf'"), (tmp_path / "links/b.urdf", "old"),
+        (tmp_path / "links/b.urdf", "longer"),
+    ):  # fmt: skip
+        file.write_text(text)
         keys.add(key_of(work.square, ({"robot": str(arm)},)))
-    assert len(keys) == 3
+    assert len(keys) == 4
