@@ -27,13 +27,12 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-SLOW = (
+SLOW = (  # slowest first
     "tests/test_documents.py", "tests/test_wheel.py", "tests/planning/test_follow.py", "tests/study/test_engine.py",
     "tests/test_site.py", "tests/study/test_solvers.py", "tests/live/test_page.py", "tests/benchmarks/test_robots.py",
     "tests/benchmarks/test_speed.py", "tests/solvers/test_isolated.py", "tests/export/test_folder.py",
     "tests/benchmarks/test_paper.py", "tests/study/test_command.py",
 )  # fmt: skip
-"""The slowest files, slowest first."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -77,14 +76,13 @@ def chromium() -> Iterator[Any]:
 
 @contextlib.contextmanager
 def opened(
-    chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), script: str = "",
-    **options: Any,
-) -> Iterator[Any]:  # fmt: skip
-    """Yield an open page. Fail if it logs a message of `kinds` (default: any), or requests a URL not below `own`.
+    chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), script: str = "", **more: Any
+) -> Iterator[Any]:
+    """Yield an open page, in which `script` runs first.
 
-    `script` runs before the page's own scripts.
+    Fail if it logs a message of `kinds` (default: any), or requests a URL not below `own`.
     """
-    page, said, asked = chromium.new_page(**options), list[str](), list[str]()
+    page, said, asked = chromium.new_page(**more), list[str](), list[str]()
     page.add_init_script(script)
 
     def hear(message: Any) -> None:

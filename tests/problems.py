@@ -93,9 +93,7 @@ def smooth_sequence(
     return problems
 
 
-PARTS = (
-    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
-)  # fmt: skip
+PARTS = ("J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q")
 
 
 def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:

@@ -42,9 +42,7 @@ def test_module_imports_only_from_its_floor_or_below():
         assert above == [], place
 
 
-HEAVY = (
-    "mujoco", "pinocchio", "casadi", "osqp", "proxsuite", "qpsolvers", "scipy", "pyarrow", "polars", "plotly",
-)  # fmt: skip
+HEAVY = ("mujoco", "pinocchio", "casadi", "osqp", "proxsuite", "qpsolvers", "scipy", "pyarrow", "polars", "plotly")
 LOADS_NONE_OF = {
     "import moc_opt": (*HEAVY, "numpy", "pydantic"),
     "import moc_opt; moc_opt.NullSpaceQP": HEAVY,

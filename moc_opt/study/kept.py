@@ -83,7 +83,6 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
-    asked.append(_inputs(asked))
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
@@ -142,20 +141,20 @@ def _file_digest(file: str, changed: tuple[int, int] = (0, 0)) -> str:
         return "gone"
 
 
-def _inputs(value: Any, folder: str = "") -> dict[str, str]:
+def _named(value: Any, folder: str = "") -> dict[str, str]:
     """Return the digests of the files whose paths are among the texts of JSON data, and of files that a TOML names."""
     if isinstance(value, str):
-        file = os.path.join(folder, value.strip("'"))
+        file = os.path.join(folder, value)
         if not os.path.isfile(file):
             return {}
         at = os.stat(file)
         found = {file: _file_digest(os.path.abspath(file), (at.st_mtime_ns, at.st_size))}
         if file.endswith(".toml") and not folder:
             with suppress(OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):  # the job reports the wrong file
-                found |= _inputs(tomllib.loads(Path(file).read_text("utf-8")), os.path.dirname(file) or ".")
+                found |= _named(tomllib.loads(Path(file).read_text("utf-8")), os.path.dirname(file) or ".")
         return found
     entries = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-    return {file: digest for entry in entries for file, digest in _inputs(entry, folder).items()}
+    return {file: digest for entry in entries for file, digest in _named(entry, folder).items()}
 
 
 def _plain(value: Any) -> Any:
@@ -163,7 +162,8 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):
-        return [type(value).__qualname__, value.model_dump(mode="json")]
+        settings = value.model_dump(mode="json")
+        return [type(value).__qualname__, settings, _named(settings)]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
         return [type(value).__qualname__, fields]

@@ -113,8 +113,7 @@ def arm_of(page: Any) -> bytes:
 def page(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
     file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
-    # Few pixels are enough.
-    size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.25}
+    size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.25}  # few pixels are enough
     with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **size) as found:
         yield found
 

@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from moc_opt.errors import StudyError
+from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job, Kept, engine, run
 from moc_opt.study.kept import key_of
 from tests.study import work
@@ -55,7 +56,6 @@ def test_dying_processes_are_reported_as_crashed(workers):
 
 
 def test_stored_result_is_ignored_after_a_hang_in_its_group(tmp_path):
-    """After a hang, the later jobs of the group count as not run, even if their results are stored."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))
@@ -176,13 +176,10 @@ def test_unusable_workers_and_clusters_are_refused(monkeypatch):
             run([Job(work.square, (2.0,))], **more)
 
 
-def test_job_has_a_new_key_if_a_file_that_it_or_its_robot_names_changes(tmp_path):
-    arm, keys = tmp_path / "arm.toml", set()
-    (tmp_path / "links").mkdir()
-    for file, text in (
-        (arm, "urdf = 'links/a.urdf'"), (arm, "urdf = 'links/b.urdf'"), (tmp_path / "links/b.urdf", "old"),
-        (tmp_path / "links/b.urdf", "longer"),
-    ):  # fmt: skip
+def test_job_has_a_new_key_if_a_file_that_its_settings_or_its_robot_names_changes(tmp_path):
+    arm, links, keys = tmp_path / "arm.toml", tmp_path / "links", set()
+    links.mkdir()
+    for file, text in (arm, "urdf = 'links/a'"), (arm, "urdf = 'links/b'"), (links / "b", "old"), (links / "b", "new!"):
         file.write_text(text)
-        keys.add(key_of(work.square, ({"robot": str(arm)},)))
+        keys.add(key_of(work.square, (Scenario(robot={"name": str(arm)}),)))
     assert len(keys) == 4
