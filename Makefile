@@ -20,7 +20,7 @@ solvers: setup
 	$(RUN) -m benchmarks.solvers
 
 # The tests share the cores: threads of the linear algebra library would only wait for each other. The tests start many
-# processes, which would compile the modules again if the environment forbids to keep the bytecode.
+# processes. Each would compile all modules again if the environment forbade bytecode files.
 test: setup lint
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
 

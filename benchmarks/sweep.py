@@ -110,16 +110,19 @@ class Config(StudyConfig):
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
         """Return each solver's settings. Raise a SolverError if one cannot run."""
         table = self.scenario.solver
-        if self.solvers is not None and table != SolverTable():
+        if self.solvers is None:
+            found = {table.name: table.settings}
+        elif table == SolverTable():
+            found = {name: {} for name in runnable(self.solvers, BASELINE)}
+        else:
             raise SweepError("solvers and [scenario.solver] are both given: give only solvers and [settings]")
-        names = [table.name] if self.solvers is None else runnable(self.solvers, BASELINE)
         for name in self.settings:
-            if name not in names:
-                raise UnknownNameError("solver in [settings]", name, names)
-        if self.solvers is not None:
-            return {name: self.settings.get(name, {}) for name in names}
-        name = BASELINE if self.scenario.control.law == "dcac" else table.name
-        return {name: {**table.settings, **self.settings.get(table.name, {})}}
+            if name not in found:
+                raise UnknownNameError("solver in [settings]", name, found)
+        found = {name: {**own, **self.settings.get(name, {})} for name, own in found.items()}
+        if self.solvers is None and self.scenario.control.law == "dcac":
+            return {BASELINE: found[table.name]}
+        return found
 
 
 # --- the fields that vary: fields of a scenario, by dotted path ---

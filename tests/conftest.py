@@ -78,12 +78,9 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), script: str = "", **more: Any
 ) -> Iterator[Any]:
-    """Yield an open page, in which `script` runs first.
-
-    Fail if it logs a message of `kinds` (default: any), or requests a URL not below `own`.
-    """
+    """Yield an open page. Fail if it logs a message of `kinds` (default: any), or requests a URL not below `own`."""
     page, said, asked = chromium.new_page(**more), list[str](), list[str]()
-    page.add_init_script(script)
+    page.add_init_script(script)  # runs before the page's own scripts
 
     def hear(message: Any) -> None:
         # The graphics driver warns that reading pixels back is slow.

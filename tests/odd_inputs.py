@@ -50,8 +50,7 @@ numbers = st.one_of(
         0, -1, 1, 2, 1e-300, -1e-300, 1e300, -1e300, 5e-324, 1e308, 1e30, 1e-30, 1e-9, 1e9, 0.5, 2**53, 2**63,
         -(2**63), 2**63 - 1, 10**7, 10**40, float("nan"), float("inf"), float("-inf"),
     ]),
-    st.floats(-10.0, 10.0),
-    st.integers(-5, 100),
+    st.floats(-10.0, 10.0), st.integers(-5, 100),
 )  # fmt: skip
 texts = st.one_of(
     st.sampled_from([

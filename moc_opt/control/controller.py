@@ -29,7 +29,7 @@ class Guide(Protocol):
     """
 
     def start(self) -> None:
-        """Reset to t = 0."""
+        """Reset to t = 0. Raise a TaskError if there is no course."""
 
     def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] for this tick. The controller calls this method once per tick."""
@@ -142,6 +142,7 @@ class Controller:
 
         Raises:
             ControlError: the solver cannot start.
+            TaskError: the guide has no course.
         """
         # First, a copy of the controller runs one tick, which initializes all libraries.
         copy = Controller(self.robot, self.settings, self.solver, self._period)

@@ -113,13 +113,10 @@ def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
     turned = angles[0] + sign * np.mod(sign * (swivels - angles[0]), 2.0 * np.pi)
     known = sign * (angles[-1] - turned) >= 0.0
     found = np.full((len(swivels), curve.q.shape[1]), np.nan)
-
-    def poses(aims: Array) -> Array:
-        return curve.at(np.interp(sign * aims, sign * angles, along))
-
     aims = turned[known]
-    error = wrapped(aims - elbow.swivel(poses(aims)))  # of linear interpolation
-    found[known] = poses(aims + error)
+    for _ in range(3):  # correct the error of linear interpolation
+        found[known] = curve.at(np.interp(sign * aims, sign * angles, along))
+        aims = aims + wrapped(turned[known] - elbow.swivel(found[known]))
     return found
 
 

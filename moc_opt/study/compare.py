@@ -113,7 +113,7 @@ class Comparison:
 
     @property
     def failures(self) -> dict[str, list[str]]:
-        """For each solver, see `Results.failures`."""
+        """`Results.failures` of each solver."""
         return {name: self._results.failures(name) for name in self.solvers}
 
     def _legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -1,7 +1,7 @@
 """A store of finished jobs, from which a stopped study continues.
 
-A result is reused if the job, the files that it names, the packages' versions, the robots' files and the imported
-sources are unchanged.
+A result is reused if the job, the files that its settings name, the packages' versions, the robots' files and the
+imported sources are unchanged.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import pickle
 import sqlite3
 import sys
 import sysconfig
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache, partial
@@ -27,7 +26,7 @@ from pydantic import BaseModel
 
 from moc_opt import core
 from moc_opt.errors import StudyError
-from moc_opt.inputs.files import to_json
+from moc_opt.inputs.files import read_toml, to_json
 from moc_opt.inputs.plugins import plugins
 from moc_opt.solvers import registry
 from moc_opt.tasks import paths
@@ -82,7 +81,8 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job."""
     code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
-    asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
+    given = [one if isinstance(one, str) else _plain(one) for one in arguments]  # a text may name the job's output
+    asked = [work.__module__, work.__qualname__, own, given, versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
@@ -94,8 +94,9 @@ def loaded_sources() -> tuple[str, ...]:
 @lru_cache(maxsize=1)
 def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
     groups = (registry.GROUP, paths.GROUP, metrics.GROUP)
-    claimed = [point for group in groups for points in plugins(group).values() for point in points]
-    packages = {point.module.partition(".")[0] for point in claimed}
+    packages = {
+        point.module.partition(".")[0] for group in groups for points in plugins(group).values() for point in points
+    }
     installed = {Path(sysconfig.get_path(kind)) for kind in ("stdlib", "platstdlib", "purelib", "platlib")}
     shows = {HOME / room for room in SHOWS}
     found = set[str]()
@@ -134,7 +135,7 @@ def versions() -> dict[str, str | None]:
 
 @cache
 def _file_digest(file: str, changed: tuple[int, int] = (0, 0)) -> str:
-    """Read a file once per value of ``changed``, its time and size. Sources are read once: a module loads only once."""
+    """Return a file's digest, or "gone". Read it again only if ``changed``, its time and size, differs."""
     try:
         return hashlib.sha256((HOME.parent / file).read_bytes()).hexdigest()
     except OSError:
@@ -142,16 +143,19 @@ def _file_digest(file: str, changed: tuple[int, int] = (0, 0)) -> str:
 
 
 def _named(value: Any, folder: str = "") -> dict[str, str]:
-    """Return the digests of the files whose paths are among the texts of JSON data, and of files that a TOML names."""
+    """Return the digests of the files that the texts of JSON data name, and of those that a robot's TOML names."""
     if isinstance(value, str):
         file = os.path.join(folder, value)
         if not os.path.isfile(file):
             return {}
         at = os.stat(file)
         found = {file: _file_digest(os.path.abspath(file), (at.st_mtime_ns, at.st_size))}
-        if file.endswith(".toml") and not folder:
-            with suppress(OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):  # the job reports the wrong file
-                found |= _named(tomllib.loads(Path(file).read_text("utf-8")), os.path.dirname(file) or ".")
+        stem, kind = os.path.splitext(file)
+        if kind.lower() == ".urdf" and not folder:
+            found |= _named(f"{stem}.toml")
+        elif kind.lower() == ".toml" and not folder:
+            with suppress(StudyError):  # the job reports the error
+                found |= _named(read_toml(file, "robot file", StudyError), os.path.dirname(file) or ".")
         return found
     entries = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
     return {file: digest for entry in entries for file, digest in _named(entry, folder).items()}
@@ -159,11 +163,12 @@ def _named(value: Any, folder: str = "") -> dict[str, str]:
 
 def _plain(value: Any) -> Any:
     """Return a job's argument as JSON data."""
-    if value is None or isinstance(value, bool | int | float | str | Path):
+    if isinstance(value, str):
+        return [value, _named(value)]
+    if value is None or isinstance(value, bool | int | float | Path):
         return repr(value)
     if isinstance(value, BaseModel):
-        settings = value.model_dump(mode="json")
-        return [type(value).__qualname__, settings, _named(settings)]
+        return [type(value).__qualname__, _plain(value.model_dump(mode="json"))]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
         return [type(value).__qualname__, fields]

@@ -125,7 +125,7 @@ class Results:
         return [row for row in self._rows if row.get("error")]
 
     def failures(self, controller: str) -> list[str]:
-        """Return sentences on the controller's trials that it did not complete, and on replaced answers."""
+        """Return sentences on trials that the controller did not complete, and on its replaced answers."""
         mine, found = list(self.where(controller=controller)), list[str]()
         if errors := [row["error"] for row in mine if row.get("error")]:
             found.append(f"Trials of {controller} that failed or were stopped: {len(errors)}; the first: {errors[0]}.")

@@ -108,6 +108,7 @@ def test_message_without_the_token_is_ignored(live: LivePage) -> None:
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
     own, few = live.url.partition("/?")[0], {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
+    # Draw twice a second, because software rendering is slow.
     slow = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 500)"
     with opened(chromium, live.url, "text=real time", own, ("error",), slow, **few) as found:
         yield found

@@ -51,6 +51,7 @@ planned_ways = cache(lambda: Ways(setup("planned").following))
 def test_the_desired_velocity_corrects_the_position_error(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
+    guide.start()
     for tick in range(400):
         desired = guide.desired_velocity(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
         np.testing.assert_allclose(desired, 0.1, atol=1e-9)

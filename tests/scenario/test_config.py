@@ -182,26 +182,17 @@ def table(**fields):
 
 SCENARIOS = table(
     name=NAMES, seed=st.integers(0, 2**63 - 1), duration_s=st.none() | st.floats(0.01, 100.0),
-    control=table(
-        preset=st.sampled_from(["paper", "tuned", "robust"]),
-        K_N2=st.floats(0.1, 200.0) | st.lists(NOT_NEGATIVE, min_size=7, max_size=7),
-        gains=st.sampled_from([None, "moc", "default"]), rcm_lambda=st.none() | st.floats(0.1, 1.0),
-        regularization=st.floats(1e-9, 1.0), fallback=st.sampled_from(["damping", "hold"]),
-        supervisor=table(budget_us=st.floats(1.0, 1e4)),
-    ),
-    plant=table(
-        preset=st.sampled_from(["nominal", "realistic"]), friction=st.floats(1e-6, 3.0),
-        delay_ticks=st.integers(0, 4), gravity=st.booleans(),
-    ),
-    task=table(
-        path=st.sampled_from(["circle", "spiral"]), sizes=st.dictionaries(st.just("radius"), st.floats(0.01, 0.1)),
-        heading=st.tuples(*[st.floats(0.1, 1.0)] * 3),
-    ),
-    solver=table(
-        name=st.sampled_from(["exact", "rnn", "osqp"]),
-        settings=st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3),
-        replay_us=st.none() | st.lists(NOT_NEGATIVE, max_size=3),
-    ),
+    control=table(preset=st.sampled_from(["paper", "tuned", "robust"]), regularization=st.floats(1e-9, 1.0),
+                  K_N2=st.floats(0.1, 200.0) | st.lists(NOT_NEGATIVE, min_size=7, max_size=7),
+                  gains=st.sampled_from([None, "moc", "default"]), rcm_lambda=st.none() | st.floats(0.1, 1.0),
+                  fallback=st.sampled_from(["damping", "hold"]), supervisor=table(budget_us=st.floats(1.0, 1e4))),
+    plant=table(preset=st.sampled_from(["nominal", "realistic"]), friction=st.floats(1e-6, 3.0),
+                delay_ticks=st.integers(0, 4), gravity=st.booleans()),
+    task=table(path=st.sampled_from(["circle", "spiral"]), heading=st.tuples(*[st.floats(0.1, 1.0)] * 3),
+               sizes=st.dictionaries(st.just("radius"), st.floats(0.01, 0.1))),
+    solver=table(name=st.sampled_from(["exact", "rnn", "osqp"]),
+                 replay_us=st.none() | st.lists(NOT_NEGATIVE, max_size=3),
+                 settings=st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3)),
     guard=table(position_margin_rad=st.floats(0.001, 0.1)),
 )  # fmt: skip
 

@@ -121,16 +121,13 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 def compared(trials):
     """Return a comparison in which `exact` raises small tip errors and lowers large ones."""
-    rows = [
-        {
-            "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),
-            "solve_p50_us": 12.34, "solve_p99_us": 345.6, "verified_solved": 4, "silently_wrong": 0,
-            "mu_mean": (0.2123 + 0.01 * seed) * (1.0 if name == "dcac" else 1.1 + 0.001 * seed),
-            "tip_error_model_mean_mm": tip[seed % 2], "tip_error_registered_mean_mm": 0.05 + 0.01 * seed,
-            "rcm_error_model_mean_mm": 0.3 - 0.02 * seed, "rcm_error_registered_mean_mm": 0.3 + 0.01 * seed,
-        }
-        for seed, (name, tip) in product(range(trials), TIP.items())
-    ]  # fmt: skip
+    rows = [{
+        "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),
+        "solve_p50_us": 12.34, "solve_p99_us": 345.6, "verified_solved": 4, "silently_wrong": 0,
+        "mu_mean": (0.2123 + 0.01 * seed) * (1.0 if name == "dcac" else 1.1 + 0.001 * seed),
+        "tip_error_model_mean_mm": tip[seed % 2], "tip_error_registered_mean_mm": 0.05 + 0.01 * seed,
+        "rcm_error_model_mean_mm": 0.3 - 0.02 * seed, "rcm_error_registered_mean_mm": 0.3 + 0.01 * seed,
+    } for seed, (name, tip) in product(range(trials), TIP.items())]  # fmt: skip
     return Comparison(rows, list(TIP), SHORT)
 
 

@@ -5,8 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import sysconfig
 import time
+from collections import defaultdict
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -14,7 +18,7 @@ import pytest
 
 from moc_opt.errors import StudyError
 from moc_opt.scenario import Scenario
-from moc_opt.study import Failed, Job, Kept, engine, run
+from moc_opt.study import Failed, Job, Kept, engine, kept, run
 from moc_opt.study.kept import key_of
 from tests.study import work
 
@@ -177,9 +181,21 @@ def test_unusable_workers_and_clusters_are_refused(monkeypatch):
 
 
 def test_job_has_a_new_key_if_a_file_that_its_settings_or_its_robot_names_changes(tmp_path):
-    arm, links, keys = tmp_path / "arm.toml", tmp_path / "links", set()
+    arm, urdf, links, keys = tmp_path / "arm.toml", tmp_path / "arm.urdf", tmp_path / "links", set()
     links.mkdir()
-    for file, text in (arm, "urdf = 'links/a'"), (arm, "urdf = 'links/b'"), (links / "b", "old"), (links / "b", "new!"):
+    urdf.touch()
+    for file, text in (arm, "urdf = 'links/a'"), (arm, "urdf = 'links/bb'"), (links / "bb", ""), (links / "bb", "new"):
         file.write_text(text)
-        keys.add(key_of(work.square, (Scenario(robot={"name": str(arm)}),)))
-    assert len(keys) == 4
+        for k, settings in enumerate((Scenario(robot={"name": str(arm)}), {"x": [str(arm)]}, {"x": str(urdf)})):
+            keys.add((k, key_of(work.square, (settings,))))
+    assert len(keys) == 3 * 4
+
+
+def test_plug_ins_of_every_kind_are_sources_of_a_job(monkeypatch):
+    file = f"{sysconfig.get_path('purelib')}/own.py"
+    monkeypatch.setitem(sys.modules, "own", SimpleNamespace(__file__=file))
+    for kind in ("moc_opt.solvers", "moc_opt.tasks", "moc_opt.metrics", "another"):
+        points = defaultdict(dict, {kind: {"x": [EntryPoint("x", "own:x", kind)]}})
+        monkeypatch.setattr(kept, "plugins", points.__getitem__)
+        kept._sources.cache_clear()
+        assert (file in kept.loaded_sources()) is (kind != "another")

@@ -15,10 +15,8 @@ from tests.tasks.test_paths import START, build, size
 # The curvature changes slowly, so that dense samples come close to its maximum.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
-    st.builds(
-        lambda a, w, n: build("sinusoid", amplitude=a * w, wavelength=w, periods=n), st.floats(0.01, 0.6), size,
-        st.floats(0.2, 6.0),
-    ),
+    st.builds(lambda a, w, n: build("sinusoid", amplitude=a * w, wavelength=w, periods=n),
+              st.floats(0.01, 0.6), size, st.floats(0.2, 6.0)),
     st.builds(lambda n, r: build("spiral", turns=n, radius=r), st.floats(0.1, 8.0), size),
 )  # fmt: skip
 
