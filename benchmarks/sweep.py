@@ -11,6 +11,7 @@ import hashlib
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from functools import partial
 from itertools import chain, product
 from typing import Any, ClassVar, Literal, Self
@@ -100,7 +101,7 @@ class Config(StudyConfig):
             "seeds": list(self.chosen_seeds()[:1]), "solvers": solvers,
             "grid": {path: values[:2] for path, values in grid_axes(self.grid).items()},
             "random": self.random.model_copy(update={"samples": min(self.random.samples, 2)}),
-            "settings": {n: s for n, s in self.settings.items() if solvers is None or n in solvers},
+            "settings": {n: s for n, s in self.settings.items() if n not in (self.solvers or [])[2:]},
             "scenario": self.scenario.change(duration_s=min(self.scenario.duration_s or 0.2, 0.2)),
         })  # fmt: skip
 
@@ -205,7 +206,7 @@ def _case(base: Scenario, seed: int, fields: Mapping[str, Any]) -> Scenario:
         table = changes
         for name in outer:
             table = table.setdefault(name, {})
-        table[last] = value
+        table[last] = deepcopy(value)  # another path may set a field of this table
     try:
         return base.change(**changes)
     except MocOptError as error:

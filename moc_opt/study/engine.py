@@ -124,7 +124,8 @@ def run(
                 except Exception as error:  # noqa: BLE001 - a user's class may raise anything
                     finish(k, Failed("raised", f"its result cannot be unpickled: {describe(error)}"))
                     continue
-                if kept is not None and same and keep(result):
+                # If a file that the job names has changed since, its result is not stored.
+                if kept is not None and same and keep(result) and keys[k] == key_of(jobs[k].work, jobs[k].arguments):
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()

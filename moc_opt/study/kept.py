@@ -137,7 +137,8 @@ def versions() -> dict[str, str | None]:
 def _file_digest(file: str, changed: tuple[int, int] = (0, 0)) -> str:
     """Return a file's digest, or "gone". Read it again only if ``changed``, its time and size, differs."""
     try:
-        return hashlib.sha256((HOME.parent / file).read_bytes()).hexdigest()
+        with open(HOME.parent / file, "rb") as read:
+            return hashlib.file_digest(read, "sha256").hexdigest()
     except OSError:
         return "gone"
 

@@ -77,6 +77,9 @@ def test_equal_runs_are_planned_once() -> None:
     assert runs[1].settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}
     assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
+    given = config(grid={"robot": [{}]}, random={"fields": {"robot.tool_length_m": {"low": 0.2, "high": 0.3}}})
+    assert [run.tags["robot"] for run in plan(given)] == ["{}"] * 2
+    assert given.grid == {"robot": [{}]}, "drawn values do not change the grid"
 
 
 def test_solver_of_the_scenario_runs_if_no_solvers_are_listed() -> None:

@@ -67,8 +67,7 @@ def test_torque_that_is_not_finite_stops_the_arm(robot, j, bad):
     tau, before = np.ones(N), np.full(N, 2.0)
     tau[j] = bad
     assert guard.limit_torque(tau, before, robot.data.q_home, REST) is before
-    assert guard.limited == 0
-    assert guard.reason == "the controller's torque is not finite"
+    assert (guard.limited, guard.reason) == (0, "the controller's torque is not finite")
 
 
 def test_wall_of_a_sliding_joint_uses_position_margin_m():

@@ -42,8 +42,7 @@ def test_ending_is_the_first_row():
     assert "the RCM error was above 6 mm, first at t = 1.250 s; its maximum was 11 mm" in table.caption
     assert list(run_json(stopped, {"mu_mean": 0.2}).items()) == [
         ("ended", "stopped: x"), ("part", "first 0.3 s of 0.4 s, braking included"), ("mu_mean", 0.2),
-        ("warnings", [WARNING]),
-        ("faults", {}),
+        ("warnings", [WARNING]), ("faults", {}),
     ]  # fmt: skip
     for ended in ("completed", "oscillated: joint_7"):
         (table,) = run_tables({"slip": trace(ended)}, {"slip": metrics})

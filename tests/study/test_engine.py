@@ -1,6 +1,7 @@
 """The engine that runs a study's jobs."""
 
 import importlib
+import operator
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import sysconfig
 import time
 from collections import defaultdict
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,8 +39,7 @@ def test_failing_jobs_do_not_harm_other_jobs(tmp_path):
     ]  # fmt: skip
     done: list[int] = []
     found = run(jobs, workers=2, done=lambda job, result: done.append(jobs.index(job)))
-    assert (found[0], found[-1]) == (9.0, 16.0)
-    assert sorted(done) == list(range(len(jobs)))
+    assert (found[0], found[-1], sorted(done)) == (9.0, 16.0, list(range(len(jobs))))
     kinds = [result.kind if isinstance(result, Failed) else None for result in found]
     assert kinds == [None, "hung", "crashed", "crashed", "raised", "raised", "hung", *["raised"] * 6, None]
     assert "SIGSEGV" in str(found[2])
@@ -79,9 +80,12 @@ def test_jobs_marked_alone_share_one_process():
 
 
 def test_second_run_repeats_only_failed_jobs(tmp_path):
-    log = str(tmp_path / "log")
+    log, file = str(tmp_path / "log"), tmp_path / "file"
     jobs = [Job(work.square, (float(x), log)) for x in range(5)] + [Job(work.refuse), Job(work.arrays, (3,))]
+    jobs.append(Job(operator.call, (partial(os.truncate, str(file), 5),)))  # changes a file that it names
+    file.touch()
     first = run(jobs, kept=Kept(tmp_path / "jobs"), workers=2)
+    file.write_text("")
     kept = Kept(tmp_path / "jobs")
     second = run(jobs, kept=kept, workers=2)
     assert (first[:5], kept.reused) == (second[:5], 6)
@@ -162,8 +166,7 @@ def test_cluster_gives_the_same_results(monkeypatch, tmp_path):
     with distributed.LocalCluster(1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         jobs = [Job(work.square, (3.0,)), Job(work.refuse), Job(work.arrays, (2,))]
         here, there = run(jobs, workers=1), run(jobs, dask=cluster.scheduler_address)
-        assert there[0] == here[0]
-        assert str(there[1]) == str(here[1])
+        assert (there[0], str(there[1])) == (here[0], str(here[1]))
         np.testing.assert_array_equal(there[2]["column"], here[2]["column"])
         trials = [Job(own_study.trial, ("exact", delay, 0)) for delay in (1, 3)]
         rows = run(trials, kept=Kept(tmp_path / "jobs"), dask=cluster.scheduler_address)

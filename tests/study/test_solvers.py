@@ -98,8 +98,7 @@ def test_wrong_input_is_refused_with_the_nearest_name(tmp_path, capsys):
 
 def test_shipped_configuration_is_the_default():
     config = Config.load(Path(solvers.__file__).with_name("solvers.toml"))
-    assert config == Config()
-    assert config.parts == list(PARTS)
+    assert (config, config.parts) == (Config(), list(PARTS))
     names = (BASELINE, "exact", "rnn", "rnn-printed", "osqp")
     assert [config.closed_loop.of(name) for name in names] == [60, 60, 60, 60, 15]
     assert len({case.seed for case in config.cases()}) == 60

@@ -151,8 +151,7 @@ def test_error_names_the_unusable_column(name, value):
     (lambda t: t.head(-1), "ticks = -1"), (lambda t: t.head(1.5), "ticks = 1.5"),
     (lambda t: t.head(True), "ticks = True"), (lambda t: t.plot([]), r"columns = \[\]"),
     (lambda t: t.plot(["status"]), "column 'status'"), (lambda t: t.plot(["mue"]), "column 'mue' .* such as mu"),
-    (lambda t: t.plot("mu"), "columns = 'mu'"),
-    (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet'"),
+    (lambda t: t.plot("mu"), "columns = 'mu'"), (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet'"),
     (lambda t: mo.summarize("a.parquet"), "trace is 'a.parquet'"), (lambda t: mo.summarize(t, 3), "baseline is 3"),
     (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s, but the trace has 40 ticks from 0.000"),
     (lambda t: mo.summarize(t, t.with_columns(t_s=t.t_s + 0.1)), "from 0.100 to 4.000 s, but"),
@@ -173,8 +172,7 @@ def test_open_file_can_be_replaced(tmp_path):
     assert table.column("status").to_pylist() == example().status.tolist()
     with path.open("rb") as reader:
         example(3).save(str(path))
-        assert len(pl.read_parquet(reader)) == N
-    assert len(Trace.load(str(path))) == 3
+        assert (len(pl.read_parquet(reader)), len(Trace.load(str(path)))) == (N, 3)
     assert os.listdir(tmp_path) == ["t.parquet"]
 
 

@@ -101,8 +101,7 @@ def test_blending_two_poses_goes_straight_from_one_to_the_other(a, b, share):
 
 
 def test_markers_are_squares_in_rows():
-    assert len(BOARD.ids) == 20
-    assert BOARD.size_m == pytest.approx((0.130, 0.105))
+    assert (len(BOARD.ids), BOARD.size_m) == (20, pytest.approx((0.130, 0.105)))
     corners = np.array([BOARD.corners(marker) for marker in BOARD.ids])
     sides = np.linalg.norm(np.diff(corners, axis=1, append=corners[:, :1]), axis=2)
     np.testing.assert_allclose(sides, 0.020, atol=1e-15)
