@@ -97,11 +97,12 @@ class Config(StudyConfig):
 
     def quick(self) -> Self:
         solvers = None if self.solvers is None else self.solvers[:2]
+        left_out = {*(self.solvers or ())} - {*(solvers or ())}
         return self.model_copy(update={
             "seeds": list(self.chosen_seeds()[:1]), "solvers": solvers,
             "grid": {path: values[:2] for path, values in grid_axes(self.grid).items()},
             "random": self.random.model_copy(update={"samples": min(self.random.samples, 2)}),
-            "settings": {n: s for n, s in self.settings.items() if n not in (self.solvers or [])[2:]},
+            "settings": {n: s for n, s in self.settings.items() if n not in left_out},
             "scenario": self.scenario.change(duration_s=min(self.scenario.duration_s or 0.2, 0.2)),
         })  # fmt: skip
 

@@ -204,7 +204,7 @@ def test_the_receding_horizon_leaves_a_local_maximum():
 
 def test_motion_of_the_receding_horizon_stays_on_the_path():
     one, q = follower(setup()), [setup().q_start]
-    for _ in range(setup().ticks // 2):
+    for _ in range(setup().ticks):
         q.append(q[-1] + 0.002 * one.desired_velocity(setup().robot.state(q[-1])))
     assert one.told["refused"] <= 0.05 * one.told["solves"]
     t = 0.002 * np.arange(len(q))
